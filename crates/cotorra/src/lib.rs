@@ -144,7 +144,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Reproduce(args) => return reproduce(&args, &["margin", "run", "sweep"]),
         Command::View(args) => return view::view(&args),
         Command::Localize(args) => return localize::localize(&args),
-        Command::Check(args) => return check::check(&args),
+        Command::Check(args) => return Ok(check::check(&args)?.into()),
         Command::Edit(args) => return edit::edit(&args),
         Command::Selftest(args) => return selftest::selftest(&args),
         Command::Calibrate(args) => calibrate::calibrate(&args)?,

@@ -1,6 +1,7 @@
 //! `cotorra check`: reports every mistake in testbed files, and summarises valid ones. `--coverage` draws the signal of
-//! their radio units.
+//! their radio units, and `--against` compares their figures with those of another simulator.
 
+mod against;
 mod coverage;
 mod extent;
 mod start;
@@ -8,13 +9,19 @@ mod walls;
 
 pub use start::hints as start_hints;
 
-use std::{path::PathBuf, process::ExitCode, thread, time::Duration};
+use std::{path::PathBuf, thread, time::Duration};
 
 use clap::Args;
 use cotorra_graph::{Program, Testbed};
 use cotorra_testbed::{Rehearsal, missing_cpus};
 
-use crate::{figures::parse_figure_file, output, testbed_file};
+use self::against::AgainstArgs;
+use crate::{
+    approval::{self, TrustArgs},
+    exit::Status,
+    figures::parse_figure_file,
+    output, testbed_file,
+};
 
 /// Check testbed files
 ///
@@ -25,8 +32,9 @@ use crate::{figures::parse_figure_file, output, testbed_file};
 Examples:
   cotorra check testbeds/*.yaml
   cotorra check testbeds/corridor.yaml --coverage signal.svg     the signal of its radio units, over its map
+  cotorra check testbeds/camera.yaml --against ns3 --seeds 5     its service times beside those of ns-3
 
-Exit status: 0 if all files are valid, 1 if one is not.")]
+Exit status: 0 if all files are valid, 1 if one is not, 4 if a figure of another simulator differs, 130 if stopped by Ctrl-C.")]
 pub struct CheckArgs {
     /// The testbed files
     #[arg(required = true, value_name = "FILE")]
@@ -37,6 +45,10 @@ pub struct CheckArgs {
     /// at which robots walk farthest. It takes one testbed file. A file that exists is not overwritten.
     #[arg(long, value_name = "PICTURE", value_parser = parse_figure_file)]
     pub coverage: Option<PathBuf>,
+    #[command(flatten)]
+    pub against: AgainstArgs,
+    #[command(flatten)]
+    pub trust: TrustArgs,
 }
 
 /// Summarises the scripted changes of links. Empty if there are none.
@@ -70,11 +82,11 @@ fn hints(testbed: &Testbed) -> Vec<String> {
 }
 
 /// Checks every file, also after one that is not valid.
-pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
+pub fn check(args: &CheckArgs) -> miette::Result<Status> {
     if let Some(out) = &args.coverage {
         coverage::check(out, args.files.len())?;
     }
-    let mut all_valid = true;
+    let mut status = Status::Done;
     for file in &args.files {
         match testbed_file::load(file, &[]) {
             Ok(loaded) => match cotorra_testbed::rehearse(&loaded.testbed) {
@@ -91,19 +103,23 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                         let shown = coverage::write(&loaded.testbed, out)?;
                         output::print(&format!("{}: {shown}\n", out.display()))?;
                     }
+                    if args.against.against.is_some() {
+                        approval::demand(&loaded, file, args.trust)?;
+                        status = status.max(against::against(&loaded, &args.against)?);
+                    }
                 }
                 Err(error) => {
-                    all_valid = false;
+                    status = Status::Error;
                     note!("{}: {error}", file.display());
                 }
             },
             Err(error) => {
-                all_valid = false;
+                status = Status::Error;
                 error.show();
             }
         }
     }
-    Ok(if all_valid { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(status)
 }
 
 #[cfg(test)]

@@ -1,0 +1,665 @@
+// Runs a scenario of cotorra's referee in ns-3, and prints what its robots measured.
+//
+//   scenario SCENARIO.json SEED > RESULT.json
+//
+// The scenario has radio units, robots with their places over time, wires, and what robots send. `src/scenario.rs` describes
+// its keys, which have SI units. Every robot has one radio for each radio unit that it uses, and sends by the one that the
+// scenario names at the time: changing over takes no time here.
+
+#include "ns3/core-module.h"
+#include "ns3/internet-module.h"
+#include "ns3/mobility-module.h"
+#include "ns3/network-module.h"
+#include "ns3/point-to-point-module.h"
+#include "ns3/traffic-control-module.h"
+#include "ns3/wifi-module.h"
+
+#include <cmath>
+#include <fstream>
+#include <iomanip>
+#include <iostream>
+#include <map>
+#include <sstream>
+#include <stdexcept>
+#include <vector>
+
+using namespace ns3;
+
+namespace
+{
+
+// ---------------------------------------------------------------------------------------------------------------- JSON
+
+/// A value of a JSON document.
+class Json
+{
+  public:
+    static Json Read(const std::string& text)
+    {
+        size_t at = 0;
+        Json value = Value(text, at);
+        return value;
+    }
+
+    const Json& operator[](const std::string& key) const
+    {
+        auto found = m_fields.find(key);
+        if (found == m_fields.end())
+        {
+            throw std::runtime_error("the scenario lacks `" + key + "`");
+        }
+        return found->second;
+    }
+
+    bool Has(const std::string& key) const
+    {
+        auto found = m_fields.find(key);
+        return found != m_fields.end() && !found->second.m_isNull;
+    }
+
+    const std::vector<Json>& Items() const { return m_items; }
+    double Number() const { return m_number; }
+    bool Flag() const { return m_number != 0; }
+    const std::string& Text() const { return m_text; }
+
+  private:
+    static void Skip(const std::string& text, size_t& at)
+    {
+        while (at < text.size() && std::isspace(static_cast<unsigned char>(text[at])))
+        {
+            ++at;
+        }
+    }
+
+    static std::string String(const std::string& text, size_t& at)
+    {
+        std::string out;
+        for (++at; at < text.size() && text[at] != '"'; ++at)
+        {
+            // Names of nodes and services have no other escapes.
+            out += text[at] == '\\' ? text[++at] : text[at];
+        }
+        ++at;
+        return out;
+    }
+
+    static Json Value(const std::string& text, size_t& at)
+    {
+        Skip(text, at);
+        if (at >= text.size())
+        {
+            throw std::runtime_error("the scenario ends too early");
+        }
+        Json value;
+        const char first = text[at];
+        if (first == '{' || first == '[')
+        {
+            const char last = first == '{' ? '}' : ']';
+            for (Skip(text, ++at); at < text.size() && text[at] != last; Skip(text, at))
+            {
+                if (first == '{')
+                {
+                    std::string key = String(text, at);
+                    Skip(text, at);
+                    value.m_fields.emplace(std::move(key), Value(text, ++at));
+                }
+                else
+                {
+                    value.m_items.push_back(Value(text, at));
+                }
+                Skip(text, at);
+                at += at < text.size() && text[at] == ',';
+            }
+            ++at;
+        }
+        else if (first == '"')
+        {
+            value.m_text = String(text, at);
+        }
+        else if (text.compare(at, 4, "true") == 0)
+        {
+            value.m_number = 1;
+            at += 4;
+        }
+        else if (text.compare(at, 5, "false") == 0)
+        {
+            at += 5;
+        }
+        else if (text.compare(at, 4, "null") == 0)
+        {
+            value.m_isNull = true;
+            at += 4;
+        }
+        else
+        {
+            size_t length = 0;
+            value.m_number = std::stod(text.substr(at, 40), &length);
+            at += length;
+        }
+        return value;
+    }
+
+    std::map<std::string, Json> m_fields;
+    std::vector<Json> m_items;
+    std::string m_text;
+    double m_number = 0;
+    bool m_isNull = false;
+};
+
+// -------------------------------------------------------------------------------------------------------- Applications
+
+constexpr uint16_t ANSWERS = 7000;
+constexpr uint16_t TAKES = 7001;
+
+/// The beginning of a request and of its answer.
+struct Header
+{
+    uint32_t service;
+    uint32_t sequence;
+    uint32_t answerBytes;
+    uint32_t processingUs;
+};
+
+Ptr<Packet>
+MakePacket(const Header& header, uint32_t bytes)
+{
+    Ptr<Packet> packet = Create<Packet>(reinterpret_cast<const uint8_t*>(&header), sizeof(Header));
+    packet->AddAtEnd(Create<Packet>(std::max<uint32_t>(bytes, sizeof(Header)) - sizeof(Header)));
+    return packet;
+}
+
+Header
+ReadHeader(Ptr<const Packet> packet)
+{
+    Header header{};
+    packet->CopyData(reinterpret_cast<uint8_t*>(&header), sizeof(Header));
+    return header;
+}
+
+/// A robot's place on the network: where its packets go now.
+class Robot
+{
+  public:
+    Ptr<Node> node;
+    /// The radio unit that carries its packets now.
+    std::string unit;
+};
+
+using Addresses = std::map<std::pair<std::string, std::string>, Ipv4Address>;
+
+/// What goes from a robot to a server at given times: requests that are answered, or bursts of datagrams that are not.
+class Sender
+{
+  public:
+    Sender(const Json& spec, Robot& robot, const Addresses& addresses, uint32_t number)
+        : m_robot(robot),
+          m_addresses(addresses),
+          m_number(number),
+          m_name(spec["name"].Text()),
+          m_answered(spec.Has("answer_bytes"))
+    {
+        for (const Json& server : spec["servers"].Items())
+        {
+            m_servers.emplace_back(server.Items()[0].Number(), server.Items()[1].Text());
+        }
+        for (const Json& time : spec["times_s"].Items())
+        {
+            m_times.push_back(time.Number());
+        }
+        for (const Json& bytes : spec["datagrams"].Items())
+        {
+            m_datagrams.push_back(static_cast<uint32_t>(bytes.Number()));
+        }
+        if (m_answered)
+        {
+            m_answerBytes = static_cast<uint32_t>(spec["answer_bytes"].Number());
+            m_processingUs = static_cast<uint32_t>(spec["processing_s"].Number() * 1e6);
+            m_timeout = spec["timeout_s"].Number();
+        }
+    }
+
+    void Start()
+    {
+        m_socket = Socket::CreateSocket(m_robot.node, UdpSocketFactory::GetTypeId());
+        m_socket->Bind();
+        m_socket->SetRecvCallback(MakeCallback(&Sender::Receive, this));
+        SendNext();
+    }
+
+    /// Counts a datagram that its server received.
+    void Received(uint32_t bytes)
+    {
+        ++m_receivedPackets;
+        m_receivedBytes += bytes;
+    }
+
+    /// Writes the times from request to answer, each behind the number of its request.
+    void Write(std::ostream& out) const
+    {
+        out << "{\"name\":\"" << m_name << "\",\"sent\":" << m_next << ",\"received_packets\":" << m_receivedPackets
+            << ",\"received_bytes\":" << m_receivedBytes << ",\"took_s\":[";
+        for (size_t i = 0; i < m_took.size(); ++i)
+        {
+            out << (i ? "," : "") << "[" << m_took[i].first << "," << m_took[i].second << "]";
+        }
+        out << "]}";
+    }
+
+  private:
+    void SendNext()
+    {
+        if (m_next < m_times.size())
+        {
+            Simulator::Schedule(Seconds(m_times[m_next]) - Simulator::Now(), &Sender::Send, this);
+        }
+    }
+
+    void Send()
+    {
+        const double now = Simulator::Now().GetSeconds();
+        while (m_server + 1 < m_servers.size() && m_servers[m_server + 1].first <= now)
+        {
+            ++m_server;
+        }
+        auto to = m_addresses.find({m_robot.unit, m_servers[m_server].second});
+        for (uint32_t bytes : m_datagrams)
+        {
+            if (to != m_addresses.end())
+            {
+                const Header header{m_number, m_next, m_answerBytes, m_processingUs};
+                m_socket->SendTo(MakePacket(header, bytes), 0, InetSocketAddress(to->second, m_answered ? ANSWERS : TAKES));
+            }
+        }
+        ++m_next;
+        SendNext();
+    }
+
+    void Receive(Ptr<Socket> socket)
+    {
+        while (Ptr<Packet> packet = socket->Recv())
+        {
+            const Header header = ReadHeader(packet);
+            const double took = Simulator::Now().GetSeconds() - m_times[header.sequence];
+            if (took <= m_timeout)
+            {
+                m_took.emplace_back(header.sequence, took);
+            }
+        }
+    }
+
+    Robot& m_robot;
+    const Addresses& m_addresses;
+    uint32_t m_number;
+    std::string m_name;
+    bool m_answered;
+    /// Server from each time on.
+    std::vector<std::pair<double, std::string>> m_servers;
+    size_t m_server = 0;
+    std::vector<double> m_times;
+    uint32_t m_next = 0;
+    std::vector<uint32_t> m_datagrams;
+    uint32_t m_answerBytes = 0;
+    uint32_t m_processingUs = 0;
+    double m_timeout = 0;
+    Ptr<Socket> m_socket;
+    std::vector<std::pair<uint32_t, double>> m_took;
+    uint64_t m_receivedPackets = 0;
+    uint64_t m_receivedBytes = 0;
+};
+
+using Senders = std::vector<std::unique_ptr<Sender>>;
+
+/// Counts the datagrams of bursts that come to a server.
+void
+Take(Senders* senders, Ptr<Socket> socket)
+{
+    while (Ptr<Packet> packet = socket->Recv())
+    {
+        senders->at(ReadHeader(packet).service)->Received(packet->GetSize());
+    }
+}
+
+/// Answers the requests that come to a server.
+void
+Answer(Senders* senders, Ptr<Socket> socket)
+{
+    Address from;
+    while (Ptr<Packet> packet = socket->RecvFrom(from))
+    {
+        const Header header = ReadHeader(packet);
+        senders->at(header.service)->Received(packet->GetSize());
+        Simulator::Schedule(MicroSeconds(header.processingUs), [socket, header, from] {
+            socket->SendTo(MakePacket(header, header.answerBytes), 0, from);
+        });
+    }
+}
+
+// ---------------------------------------------------------------------------------------------------------------- Air
+
+WifiStandard
+StandardOf(const std::string& name)
+{
+    static const std::map<std::string, WifiStandard> standards{{"g", WIFI_STANDARD_80211g},
+                                                               {"a", WIFI_STANDARD_80211a},
+                                                               {"n", WIFI_STANDARD_80211n},
+                                                               {"ac", WIFI_STANDARD_80211ac},
+                                                               {"ax", WIFI_STANDARD_80211ax}};
+    return standards.at(name);
+}
+
+/// A wireless network: what its radios have in common.
+class Network
+{
+  public:
+    explicit Network(const Json& spec)
+        : m_spec(spec)
+    {
+        // Loss over distance: `reference_db` at 1 m, and 10 n dB more for each tenfold distance.
+        Ptr<LogDistancePropagationLossModel> loss = CreateObject<LogDistancePropagationLossModel>();
+        loss->SetPathLossExponent(spec["exponent"].Number());
+        loss->SetReference(1.0, spec["reference_db"].Number());
+        m_channel = CreateObject<YansWifiChannel>();
+        m_channel->SetPropagationLossModel(loss);
+        m_channel->SetPropagationDelayModel(CreateObject<ConstantSpeedPropagationDelayModel>());
+    }
+
+    /// Makes the radio of a node on a channel of this network. `isUnit` says whether it is a radio unit.
+    Ptr<NetDevice> Install(Ptr<Node> node, const Json& unit, double txPowerDbm, bool isUnit) const
+    {
+        const std::string standard = m_spec["standard"].Text();
+        YansWifiPhyHelper phy;
+        phy.SetChannel(m_channel);
+        phy.SetErrorRateModel("ns3::NistErrorRateModel");
+        std::ostringstream settings;
+        settings << "{" << unit["channel"].Number() << ", " << m_spec["width_mhz"].Number() << ", "
+                 << (m_spec["is_5ghz"].Flag() ? "BAND_5GHZ" : "BAND_2_4GHZ") << ", 0}";
+        phy.Set("ChannelSettings", StringValue(settings.str()));
+        phy.Set("TxPowerStart", DoubleValue(txPowerDbm));
+        phy.Set("TxPowerEnd", DoubleValue(txPowerDbm));
+        phy.Set("RxNoiseFigure", DoubleValue(m_spec["noise_figure_db"].Number()));
+        // Weakest frames that a receiver finds, and for which a sender waits.
+        const double sensitivity = m_spec["sensitivity_dbm"].Number();
+        phy.Set("RxSensitivity", DoubleValue(sensitivity));
+        phy.Set("CcaSensitivity", DoubleValue(sensitivity));
+        phy.SetPreambleDetectionModel("ns3::ThresholdPreambleDetectionModel",
+                                      "MinimumRssi",
+                                      DoubleValue(sensitivity),
+                                      "Threshold",
+                                      DoubleValue(0));
+        const uint8_t streams = static_cast<uint8_t>(m_spec["streams"].Number());
+        phy.Set("Antennas", UintegerValue(streams));
+        phy.Set("MaxSupportedTxSpatialStreams", UintegerValue(streams));
+        phy.Set("MaxSupportedRxSpatialStreams", UintegerValue(streams));
+
+        WifiHelper wifi;
+        wifi.SetStandard(StandardOf(standard));
+        const bool isHt = standard != "a" && standard != "g";
+        if (m_spec["rate_control"].Text() == "ideal")
+        {
+            wifi.SetRemoteStationManager("ns3::IdealWifiManager");
+        }
+        else
+        {
+            wifi.SetRemoteStationManager(isHt ? "ns3::MinstrelHtWifiManager" : "ns3::MinstrelWifiManager");
+        }
+        WifiMacHelper mac;
+        const Ssid ssid(unit["name"].Text());
+        if (isUnit)
+        {
+            mac.SetType("ns3::ApWifiMac", "Ssid", SsidValue(ssid));
+        }
+        else
+        {
+            mac.SetType("ns3::StaWifiMac", "Ssid", SsidValue(ssid), "ActiveProbing", BooleanValue(false));
+        }
+        NetDeviceContainer devices = wifi.Install(phy, mac, node);
+        Ptr<WifiNetDevice> device = DynamicCast<WifiNetDevice>(devices.Get(0));
+        if (!m_spec["aggregation"].Flag())
+        {
+            device->GetMac()->SetAttribute("BE_MaxAmpduSize", UintegerValue(0));
+        }
+        return device;
+    }
+
+  private:
+    const Json& m_spec;
+    Ptr<YansWifiChannel> m_channel;
+};
+
+// --------------------------------------------------------------------------------------------------------------- Wires
+
+void
+SetQueue(Ptr<NetDevice> device, const Json& queue)
+{
+    static const std::map<std::string, std::string> disciplines{{"drop_tail", "ns3::FifoQueueDisc"},
+                                                                {"codel", "ns3::CoDelQueueDisc"},
+                                                                {"fq_codel", "ns3::FqCoDelQueueDisc"},
+                                                                {"pie", "ns3::PieQueueDisc"},
+                                                                {"red", "ns3::RedQueueDisc"}};
+    std::ostringstream limit;
+    limit << static_cast<uint64_t>(queue["limit"].Number()) << (queue["in_bytes"].Flag() ? "B" : "p");
+    TrafficControlHelper control;
+    control.SetRootQueueDisc(disciplines.at(queue["discipline"].Text()), "MaxSize", StringValue(limit.str()));
+    control.Install(device);
+}
+
+/// Both ends of a wire.
+struct Wire
+{
+    NetDeviceContainer devices;
+    Ipv4InterfaceContainer interfaces;
+};
+
+Vector
+PlaceOf(const Json& place)
+{
+    return Vector(place.Items()[0].Number(), place.Items()[1].Number(), place.Items()[2].Number());
+}
+
+void
+Place(Ptr<Node> node, const Json& places)
+{
+    Ptr<WaypointMobilityModel> mobility = CreateObject<WaypointMobilityModel>();
+    node->AggregateObject(mobility);
+    for (const Json& place : places.Items())
+    {
+        const auto& numbers = place.Items();
+        const Vector at(numbers[1].Number(), numbers[2].Number(), numbers[3].Number());
+        mobility->AddWaypoint(Waypoint(Seconds(numbers[0].Number()), at));
+    }
+}
+
+int
+Run(const std::string& path, uint32_t seed)
+{
+    std::ifstream file(path);
+    std::stringstream text;
+    text << file.rdbuf();
+    const Json scenario = Json::Read(text.str());
+    RngSeedManager::SetSeed(1);
+    RngSeedManager::SetRun(seed);
+    Config::SetDefault("ns3::WifiRemoteStationManager::RtsCtsThreshold", UintegerValue(4692480));
+    // As Linux's neighbours that stay reachable: no request for an address in the middle of a run.
+    Config::SetDefault("ns3::ArpCache::AliveTimeout", TimeValue(Seconds(100000)));
+
+    InternetStackHelper internet;
+    std::map<std::string, Ptr<Node>> nodes;
+    auto node = [&](const std::string& name) {
+        Ptr<Node>& node = nodes[name];
+        if (!node)
+        {
+            node = CreateObject<Node>();
+            internet.Install(node);
+        }
+        return node;
+    };
+
+    // Wires, from the radio units on.
+    std::map<std::pair<std::string, std::string>, Wire> wires;
+    Ipv4AddressHelper wired("10.0.0.0", "255.255.255.252");
+    for (const Json& spec : scenario["wires"].Items())
+    {
+        PointToPointHelper helper;
+        helper.SetDeviceAttribute("DataRate", DataRateValue(DataRate(static_cast<uint64_t>(spec["rate_bps"].Number()))));
+        helper.SetChannelAttribute("Delay", TimeValue(Seconds(spec["delay_s"].Number())));
+        helper.SetQueue("ns3::DropTailQueue<Packet>", "MaxSize", StringValue("1p"));
+        const std::string a = spec["ends"].Items()[0].Text();
+        const std::string b = spec["ends"].Items()[1].Text();
+        Wire wire;
+        wire.devices = helper.Install(node(a), node(b));
+        SetQueue(wire.devices.Get(0), spec["queue"]);
+        SetQueue(wire.devices.Get(1), spec["queue"]);
+        wire.interfaces = wired.Assign(wire.devices);
+        wired.NewNetwork();
+        wires[{a, b}] = wire;
+        Wire back;
+        back.devices.Add(wire.devices.Get(1));
+        back.devices.Add(wire.devices.Get(0));
+        back.interfaces.Add(wire.interfaces.Get(1));
+        back.interfaces.Add(wire.interfaces.Get(0));
+        wires[{b, a}] = back;
+    }
+
+    // The air.
+    std::map<std::string, std::unique_ptr<Network>> networks;
+    for (const Json& spec : scenario["networks"].Items())
+    {
+        networks[spec["name"].Text()] = std::make_unique<Network>(spec);
+    }
+    std::map<std::string, const Json*> unitSpecs;
+    std::map<std::string, Ipv4Address> unitAddresses;
+    std::map<std::string, Ipv4AddressHelper> cells;
+    std::map<std::string, Ipv4Address> cellNetworks;
+    uint32_t cell = 0;
+    for (const Json& spec : scenario["radio_units"].Items())
+    {
+        const std::string name = spec["name"].Text();
+        unitSpecs[name] = &spec;
+        Ptr<Node> unit = node(name);
+        Ptr<ConstantPositionMobilityModel> mobility = CreateObject<ConstantPositionMobilityModel>();
+        mobility->SetPosition(PlaceOf(spec["position"]));
+        unit->AggregateObject(mobility);
+        Ptr<NetDevice> device = networks.at(spec["network"].Text())->Install(unit, spec, spec["tx_power_dbm"].Number(), true);
+        const Ipv4Address network((11U << 24) + (cell++ << 16));
+        cellNetworks[name] = network;
+        cells[name] = Ipv4AddressHelper(network, Ipv4Mask("255.255.0.0"));
+        unitAddresses[name] = cells[name].Assign(NetDeviceContainer(device)).GetAddress(0);
+    }
+
+    // The paths from radio units to servers, and back.
+    Ipv4StaticRoutingHelper routing;
+    Addresses addresses;
+    for (const Json& spec : scenario["paths"].Items())
+    {
+        std::vector<std::string> path;
+        for (const Json& name : spec.Items())
+        {
+            path.push_back(name.Text());
+        }
+        const size_t last = path.size() - 1;
+        const Wire& end = wires.at({path[last - 1], path[last]});
+        const Ipv4Address server = end.interfaces.GetAddress(1);
+        addresses[{path[0], path[last]}] = server;
+        for (size_t i = 0; i < last; ++i)
+        {
+            const Wire& wire = wires.at({path[i], path[i + 1]});
+            const auto [here, in] = wire.interfaces.Get(0);
+            const auto [there, out] = wire.interfaces.Get(1);
+            if (i + 1 < last)
+            {
+                routing.GetStaticRouting(here)->AddHostRouteTo(server, wire.interfaces.GetAddress(1), in);
+            }
+            routing.GetStaticRouting(there)->AddNetworkRouteTo(
+                cellNetworks.at(path[0]), Ipv4Mask("255.255.0.0"), wire.interfaces.GetAddress(0), out);
+        }
+    }
+
+    // Robots.
+    std::map<std::string, Robot> robots;
+    for (const Json& spec : scenario["robots"].Items())
+    {
+        const std::string name = spec["name"].Text();
+        Robot& robot = robots[name];
+        robot.node = node(name);
+        robot.node->GetObject<Ipv4>()->SetAttribute("IpForward", BooleanValue(false));
+        Place(robot.node, spec["places"]);
+        std::map<std::string, uint32_t> interfaces;
+        for (const Json& attachment : spec["attachments"].Items())
+        {
+            const std::string unit = attachment.Items()[1].Text();
+            if (!interfaces.count(unit))
+            {
+                const Json& unitSpec = *unitSpecs.at(unit);
+                Ptr<NetDevice> device = networks.at(unitSpec["network"].Text())
+                                            ->Install(robot.node, unitSpec, spec["tx_power_dbm"].Number(), false);
+                auto assigned = cells.at(unit).Assign(NetDeviceContainer(device));
+                interfaces[unit] = assigned.Get(0).second;
+            }
+            Simulator::Schedule(Seconds(attachment.Items()[0].Number()), [&robot, &routing, &unitAddresses, unit, interfaces] {
+                Ptr<Ipv4StaticRouting> own = routing.GetStaticRouting(robot.node->GetObject<Ipv4>());
+                for (uint32_t i = own->GetNRoutes(); i-- > 0;)
+                {
+                    if (own->GetRoute(i).IsDefault())
+                    {
+                        own->RemoveRoute(i);
+                    }
+                }
+                own->SetDefaultRoute(unitAddresses.at(unit), interfaces.at(unit));
+                robot.unit = unit;
+            });
+        }
+    }
+
+    // What robots send.
+    Senders senders;
+    const double until = scenario["until_s"].Number();
+    for (const Json& spec : scenario["senders"].Items())
+    {
+        const uint32_t number = static_cast<uint32_t>(senders.size());
+        senders.push_back(std::make_unique<Sender>(spec, robots.at(spec["robot"].Text()), addresses, number));
+        senders.back()->Start();
+    }
+    for (const Json& name : scenario["servers"].Items())
+    {
+        for (uint16_t port : {ANSWERS, TAKES})
+        {
+            Ptr<Socket> socket = Socket::CreateSocket(node(name.Text()), UdpSocketFactory::GetTypeId());
+            socket->Bind(InetSocketAddress(Ipv4Address::GetAny(), port));
+            const auto handle = port == ANSWERS ? Answer : Take;
+            socket->SetRecvCallback(Callback<void, Ptr<Socket>>([&senders, handle](Ptr<Socket> s) { handle(&senders, s); }));
+        }
+    }
+
+    Simulator::Stop(Seconds(until));
+    Simulator::Run();
+    std::cout << std::setprecision(9) << "{\"senders\":[";
+    for (size_t i = 0; i < senders.size(); ++i)
+    {
+        std::cout << (i ? "," : "");
+        senders[i]->Write(std::cout);
+    }
+    std::cout << "]}\n";
+    Simulator::Destroy();
+    return 0;
+}
+
+} // namespace
+
+int
+main(int count, char** arguments)
+{
+    if (count != 3)
+    {
+        std::cerr << "usage: scenario SCENARIO.json SEED\n";
+        return 2;
+    }
+    try
+    {
+        return Run(arguments[1], static_cast<uint32_t>(std::stoul(arguments[2])));
+    }
+    catch (const std::exception& error)
+    {
+        std::cerr << "scenario: " << error.what() << "\n";
+        return 1;
+    }
+}

@@ -1,0 +1,360 @@
+//! Our side: a run in virtual time, and the scenario that has ns-3 send the same at the same times.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_fabric::sensitivity;
+use cotorra_graph::{
+    Conditions, Direction, Event, Link, NodeId, NodeKind, QueueDiscipline, QueueLimit, Rate, SensorKind,
+    Service, ServiceTime, Stamped, Testbed, Timestamp, WifiStandard, WirelessNetwork,
+};
+use cotorra_testbed::{Altered, RunError, Unrecorded, simulate_unrecorded};
+
+use crate::{
+    Measured, Run,
+    plain::{serves, stations},
+    scenario::{BEFORE, Network, Queue, RadioUnit, Robot, Scenario, Sender, Wire},
+};
+
+/// Requests of the first second do not count: ns-3 looks for addresses, and rates begin at the slowest.
+const SETTLING: Duration = Duration::from_secs(1);
+/// Requests so near to a handover or a scan do not count.
+const NEAR: Duration = Duration::from_millis(250);
+/// Bytes of a position packet without the robot's name, of its answer, of a scan of 360 beams without the name, and of its
+/// answer. A test compares them with what is sent.
+const POSITION: u32 = 92;
+const NAVIGATION: u32 = 84;
+const SCAN: u32 = 870;
+const POSE: u32 = 104;
+/// Bytes of an image in each datagram, and bytes before them without the names.
+const FRAGMENT: u32 = 1280;
+const BEFORE_FRAGMENT: u32 = 33;
+/// Bytes of a UDP datagram's headers in an Ethernet frame.
+pub(crate) const HEADERS: f64 = 42.0;
+/// Ages at which answers count no more: of commands, and of poses.
+const COMMANDS: f64 = 0.6;
+const POSES: f64 = 3.0;
+/// Rate of a wire without a limit, bit/s.
+const UNLIMITED: u64 = 100_000_000_000;
+/// Thermal noise over 20 MHz at 290 K, dBm.
+const THERMAL_NOISE: f64 = -100.965;
+
+/// Our run, and the scenario for the other side.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ours {
+    /// What was measured.
+    pub run: Run,
+    /// The same for ns-3.
+    pub scenario: Scenario,
+    /// Numbers of requests that do not count, by sender.
+    pub(crate) uncounted: BTreeMap<String, BTreeSet<u32>>,
+}
+
+/// Runs a testbed in virtual time up to `until`. Returns `None` if `go_on` said to stop.
+///
+/// # Errors
+/// [`RunError`] of the run.
+pub fn ours(
+    testbed: &Arc<Testbed>,
+    text: &str,
+    seed: u64,
+    until: Duration,
+    go_on: impl FnMut() -> bool,
+) -> Result<Option<Ours>, RunError> {
+    let mut seen = Seen::new(testbed);
+    let folder = std::env::temp_dir().join(format!("cotorra-referee-{}-{seed}", std::process::id()));
+    let altered = Altered::default();
+    let run = Unrecorded { seed, until: Some(until), altered: &altered, folder: &folder, text };
+    let ended = simulate_unrecorded(Arc::clone(testbed), &run, |event| seen.absorb(event), go_on)?;
+    Ok(ended.map(|_| seen.conclude(testbed, until)))
+}
+
+/// What a run showed of what its robots sent.
+struct Seen {
+    samples: BTreeMap<String, Vec<ServiceTime>>,
+    /// Times of images by robot and sensor.
+    images: BTreeMap<(NodeId, String), Vec<Timestamp>>,
+    places: BTreeMap<NodeId, Vec<[f64; 4]>>,
+    attachments: BTreeMap<NodeId, Vec<(Timestamp, NodeId)>>,
+    /// Beginnings and ends of what takes robots off their channels.
+    away: BTreeMap<NodeId, Vec<[Timestamp; 2]>>,
+    bytes: BTreeMap<String, u64>,
+    scans: BTreeMap<NodeId, Duration>,
+}
+
+impl Seen {
+    fn new(testbed: &Testbed) -> Self {
+        let mut places = BTreeMap::new();
+        let mut scans = BTreeMap::new();
+        for (node, robot) in testbed.graph.robots() {
+            let place = testbed.walk(&node.id).map(|walk| walk.waypoints[0]).or(node.position);
+            let place = place.unwrap_or_default();
+            places.insert(node.id.clone(), vec![[0.0, place.x, place.y, place.z]]);
+            if let Some(network) = testbed.graph.wireless.get(&robot.network) {
+                let handover = &network.handover;
+                let back = handover.visits.map_or(Duration::ZERO, |visits| {
+                    visits.back * (handover.scan.as_nanos() / visits.dwell.as_nanos().max(1)) as u32
+                });
+                scans.insert(node.id.clone(), (handover.scan + back).mul_f64(1.0 + handover.variation));
+            }
+        }
+        Self {
+            samples: BTreeMap::new(),
+            images: BTreeMap::new(),
+            places,
+            attachments: BTreeMap::new(),
+            away: BTreeMap::new(),
+            bytes: BTreeMap::new(),
+            scans,
+        }
+    }
+
+    fn absorb(&mut self, Stamped { at, event }: &Stamped) {
+        match event {
+            Event::ServiceTime(sample) => {
+                self.samples.entry(sample.service.to_string()).or_default().push(sample.clone());
+            }
+            Event::Sensor(reading) if reading.data.is_some() => {
+                let key = (reading.robot.clone(), reading.sensor.to_string());
+                self.images.entry(key).or_default().push(*at);
+            }
+            Event::Robot(context) => {
+                let pose = &context.sensors.pose;
+                let places = self.places.entry(context.robot.clone()).or_default();
+                if places.last().is_none_or(|last| last[0] < at.as_secs_f64()) {
+                    places.push([at.as_secs_f64(), pose.x, pose.y, pose.z]);
+                }
+                let attached = context.attachments.iter().find(|attachment| attachment.attached);
+                let attachments = self.attachments.entry(context.robot.clone()).or_default();
+                if let (true, Some(attached)) = (attachments.is_empty(), attached) {
+                    attachments.push((Timestamp::ZERO, attached.radio_unit.clone()));
+                }
+            }
+            Event::Handover(handover) => {
+                let attachments = self.attachments.entry(handover.robot.clone()).or_default();
+                attachments.push((*at, handover.to.clone()));
+                self.is_away(&handover.robot, *at, handover.gap);
+            }
+            Event::Scanned { robot } => {
+                let scan = self.scans.get(robot).copied().unwrap_or_default();
+                self.is_away(robot, *at, scan);
+            }
+            Event::Link(context) if context.direction == Direction::Forward => {
+                self.bytes.insert(context.link.to_string(), context.counters.bytes);
+            }
+            _ => {}
+        }
+    }
+
+    fn is_away(&mut self, robot: &NodeId, at: Timestamp, time: Duration) {
+        let from = Timestamp::ZERO + at.since(Timestamp::ZERO).saturating_sub(time + NEAR);
+        self.away.entry(robot.clone()).or_default().push([from, at + NEAR]);
+    }
+
+    fn conclude(self, testbed: &Testbed, until: Duration) -> Ours {
+        let mut run = Run::default();
+        let mut senders = Vec::new();
+        let mut uncounted = BTreeMap::new();
+        for service in &testbed.services {
+            let name = service.id.to_string();
+            let Some(samples) = self.samples.get(&name).filter(|_| service.kpis.flow.is_none()) else {
+                continue;
+            };
+            let away = self.away.get(&service.robot).map_or(&[][..], Vec::as_slice);
+            let counts = |sample: &ServiceTime| {
+                sample.emitted >= Timestamp::ZERO + SETTLING
+                    && !away.iter().any(|[from, to]| (*from..=*to).contains(&sample.emitted))
+            };
+            // Answers come in any order.
+            let mut samples: Vec<_> = samples.iter().collect();
+            samples.sort_by_key(|sample| sample.emitted);
+            let numbered = || samples.iter().zip(0..);
+            let skipped: BTreeSet<u32> =
+                numbered().filter(|(sample, _)| !counts(sample)).map(|(_, number)| number).collect();
+            let took_ms = numbered()
+                .filter(|(_, number)| !skipped.contains(number))
+                .filter_map(|(sample, number)| Some((number, sample.took?.as_secs_f64() * 1e3)))
+                .collect();
+            let sent = (samples.len() - skipped.len()) as u32;
+            senders.push(request_sender(service, &samples));
+            run.senders.insert(name.clone(), Measured { took_ms, sent });
+            uncounted.insert(name, skipped);
+        }
+        for (node, robot) in testbed.graph.robots() {
+            for sensor in &robot.sensors {
+                let SensorKind::Camera(camera) = &sensor.kind else { continue };
+                let Some(to) = &camera.to else { continue };
+                let Some(vnf) = testbed.vnfs().find(|vnf| vnf.id == *to) else { continue };
+                let Some(times) = self.images.get(&(node.id.clone(), sensor.id.to_string())) else {
+                    continue;
+                };
+                let pixel = if camera.format == cotorra_graph::DataFormat::Rgb8 { 3 } else { 1 };
+                let bytes = u32::from(camera.width) * u32::from(camera.height) * pixel;
+                let names = (node.id.as_str().len() + sensor.id.as_str().len()) as u32;
+                let datagram = |bytes: u32| BEFORE_FRAGMENT + names + bytes;
+                let mut datagrams = vec![datagram(FRAGMENT); (bytes / FRAGMENT) as usize];
+                datagrams.extend((bytes % FRAGMENT != 0).then(|| datagram(bytes % FRAGMENT)));
+                senders.push(Sender {
+                    name: format!("{}/{}", node.id, sensor.id),
+                    robot: node.id.to_string(),
+                    servers: vec![(0.0, vnf.node.all()[0].to_string())],
+                    times_s: times.iter().map(|time| BEFORE + time.as_secs_f64()).collect(),
+                    datagrams,
+                    answer_bytes: None,
+                    processing_s: 0.0,
+                    timeout_s: 0.0,
+                });
+            }
+            let links = format!("{}~", node.id);
+            let bytes: u64 =
+                self.bytes.iter().filter(|(link, _)| link.starts_with(&links)).map(|(_, bytes)| bytes).sum();
+            run.mbps.insert(node.id.to_string(), bytes as f64 * 8e-6 / until.as_secs_f64());
+        }
+        let scenario = self.scenario(testbed, until, senders);
+        Ours { run, scenario, uncounted }
+    }
+
+    fn scenario(&self, testbed: &Testbed, until: Duration, senders: Vec<Sender>) -> Scenario {
+        let graph = &testbed.graph;
+        let used: BTreeSet<&str> =
+            self.attachments.values().flatten().map(|(_, unit)| unit.as_str()).collect();
+        let units =
+            || graph.radio_units().filter(|(node, _)| serves(&node.kind) && used.contains(node.id.as_str()));
+        let servers: BTreeSet<String> =
+            senders.iter().flat_map(|sender| &sender.servers).map(|(_, server)| server.clone()).collect();
+        let mut paths = Vec::new();
+        for (unit, _) in units() {
+            paths.extend(servers.iter().filter_map(|server| path(testbed, &unit.id, server)));
+        }
+        let robots = graph.robots().map(|(node, robot)| Robot {
+            name: node.id.to_string(),
+            tx_power_dbm: robot.tx_power.0,
+            places: self.places[&node.id].iter().map(|[t, x, y, z]| [t + BEFORE, *x, *y, *z]).collect(),
+            attachments: self.attachments.get(&node.id).map_or_else(Vec::new, |all| {
+                let starts = |time: Timestamp| {
+                    if time == Timestamp::ZERO { 0.0 } else { BEFORE + time.as_secs_f64() }
+                };
+                all.iter().map(|(time, unit)| (starts(*time), unit.to_string())).collect()
+            }),
+        });
+        let units: Vec<_> = units()
+            .map(|(node, unit)| {
+                let place = node.position.unwrap_or_default();
+                RadioUnit {
+                    name: node.id.to_string(),
+                    network: unit.network.clone(),
+                    channel: unit.channel,
+                    position: [place.x, place.y, place.z],
+                    tx_power_dbm: unit.tx_power.0,
+                }
+            })
+            .collect();
+        let networks = graph.wireless.iter().map(|(name, network)| {
+            let channel = units.iter().find(|unit| unit.network == *name).map_or(1, |unit| unit.channel);
+            air(name, network, channel)
+        });
+        Scenario {
+            until_s: BEFORE + until.as_secs_f64(),
+            networks: networks.collect(),
+            wires: graph.links.iter().map(wire).collect(),
+            paths,
+            servers: servers.into_iter().collect(),
+            robots: robots.collect(),
+            radio_units: units,
+            senders,
+        }
+    }
+}
+
+fn request_sender(service: &Service, samples: &[&ServiceTime]) -> Sender {
+    let name = service.robot.as_str().len() as u32;
+    let (request, answer, timeout_s) =
+        if service.localizes() { (SCAN, POSE, POSES) } else { (POSITION, NAVIGATION, COMMANDS) };
+    let mut servers: Vec<(f64, String)> = Vec::new();
+    for sample in samples {
+        if servers.last().is_none_or(|(_, server)| *server != sample.server.as_str()) {
+            servers.push((BEFORE + sample.emitted.as_secs_f64(), sample.server.to_string()));
+        }
+    }
+    let serving = service.vnfs.iter().find(|vnf| vnf.program.serves_robots());
+    let processing = serving.and_then(|vnf| Some(vnf.image.as_deref()?.processing)).unwrap_or_default();
+    Sender {
+        name: service.id.to_string(),
+        robot: service.robot.to_string(),
+        servers,
+        times_s: samples.iter().map(|sample| BEFORE + sample.emitted.as_secs_f64()).collect(),
+        datagrams: vec![request + name],
+        answer_bytes: Some(answer),
+        processing_s: processing.as_secs_f64(),
+        timeout_s,
+    }
+}
+
+fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
+    let frequency_mhz = network.standard.frequency_mhz(channel);
+    let loss = |metres| network.path_loss.loss_db(metres, frequency_mhz);
+    let (rate_control, aggregation) = stations(network);
+    Network {
+        name: name.to_owned(),
+        standard: match network.standard {
+            WifiStandard::G => "g",
+            WifiStandard::A => "a",
+            WifiStandard::N => "n",
+            WifiStandard::Ac => "ac",
+        },
+        is_5ghz: frequency_mhz > 5000,
+        width_mhz: 20,
+        streams: 1,
+        exponent: (loss(10.0) - loss(1.0)) / 10.0,
+        reference_db: loss(1.0),
+        noise_figure_db: network.noise_floor.0 - THERMAL_NOISE,
+        sensitivity_dbm: sensitivity(network).0,
+        rate_control,
+        aggregation,
+    }
+}
+
+fn wire(link: &Link) -> Wire {
+    let Conditions { delay, rate, queue, queue_discipline, .. } = &link.forward;
+    let (limit, in_bytes) = match queue {
+        QueueLimit::Packets(packets) => (u64::from(*packets), false),
+        QueueLimit::Bytes(bytes) => (*bytes, true),
+    };
+    Wire {
+        ends: link.ends.each_ref().map(NodeId::to_string),
+        rate_bps: match rate {
+            Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second(),
+            _ => UNLIMITED,
+        },
+        delay_s: delay.as_secs_f64(),
+        queue: Queue {
+            discipline: match queue_discipline {
+                QueueDiscipline::DropTail => "drop_tail",
+                QueueDiscipline::Codel(_) => "codel",
+                QueueDiscipline::FqCodel(_) => "fq_codel",
+                QueueDiscipline::Pie(_) => "pie",
+                QueueDiscipline::Red(_) => "red",
+            },
+            limit,
+            in_bytes,
+        },
+    }
+}
+
+/// Returns the nodes from a radio unit to a server, on the path of least delay.
+fn path(testbed: &Testbed, unit: &NodeId, server: &str) -> Option<Vec<String>> {
+    let to = testbed.graph.nodes.iter().find(|node| node.id == *server)?;
+    let route = testbed.graph.route(unit, &to.id, |_| None)?;
+    let mut nodes = vec![unit.clone()];
+    for link in &route.links {
+        let link = testbed.graph.link(link)?;
+        let here = nodes.last()?;
+        let next = link.ends.iter().find(|end| *end != here)?.clone();
+        nodes.push(next);
+    }
+    (nodes.len() > 1 && matches!(to.kind, NodeKind::Server(_)))
+        .then(|| nodes.iter().map(NodeId::to_string).collect())
+}

@@ -1,0 +1,141 @@
+//! Testbeds without what ns-3 has no part for.
+
+use std::time::Duration;
+
+use cotorra_graph::{
+    Access, Conditions, HardwareGraph, Loss, NodeKind, Probability, Rate, RateControl, Requests, Testbed,
+    WirelessNetwork,
+};
+
+/// A testbed for both sides.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plain {
+    /// The testbed without what ns-3 has no part for.
+    pub testbed: Testbed,
+    /// What neither side has: one line each.
+    pub left_out: Vec<String>,
+    /// What our side has and ns-3 has not, or has otherwise: one line each.
+    pub unlike: Vec<String>,
+}
+
+/// Takes out of a testbed what ns-3 has no part for.
+pub fn plain(mut testbed: Testbed) -> Plain {
+    let mut lines = Lines::default();
+    let HardwareGraph { wireless, links, .. } = &mut testbed.graph;
+    for (name, network) in wireless {
+        plain_network(name, network, &mut lines);
+    }
+    for link in links {
+        let conditions = plain_wire(&link.forward);
+        if conditions != link.forward || conditions != plain_wire(&link.backward) {
+            lines.left_out(format!(
+                "jitter, loss, damage and traces of link {}, and what differs backward",
+                link.id
+            ));
+        }
+        (link.forward, link.backward) = (conditions.clone(), conditions);
+        link.scales = Default::default();
+    }
+    if !testbed.script.schedule.is_empty() || testbed.script.replay.is_some() {
+        lines.left_out("the schedule of conditions".to_owned());
+        testbed.script = Default::default();
+    }
+    if testbed.probes.take().is_some() {
+        lines.left_out("probes of links".to_owned());
+    }
+    for service in &testbed.services {
+        if service.kpis.flow.is_some() {
+            lines.unlike(format!("service {}: programs do not run in virtual time, nor in ns-3", service.id));
+        }
+        if service.requests != Requests::One {
+            lines.unlike(format!("service {}: ns-3 sends requests to one instance", service.id));
+        }
+    }
+    if testbed.graph.robots().any(|(_, robot)| robot.roaming != Default::default())
+        || !testbed.plugins.is_empty()
+    {
+        lines.unlike(
+            "handovers and scans: ns-3 changes over at once, so that requests near them are left out"
+                .to_owned(),
+        );
+    }
+    Plain { testbed, left_out: lines.left_out, unlike: lines.unlike }
+}
+
+#[derive(Default)]
+struct Lines {
+    left_out: Vec<String>,
+    unlike: Vec<String>,
+}
+
+impl Lines {
+    fn left_out(&mut self, line: String) {
+        self.left_out.push(line);
+    }
+
+    fn unlike(&mut self, line: String) {
+        self.unlike.push(line);
+    }
+}
+
+fn plain_network(name: &str, network: &mut WirelessNetwork, lines: &mut Lines) {
+    let mut out = |is: bool, what: &str| {
+        if is {
+            lines.left_out(format!("{what} of network {name}"));
+        }
+    };
+    out(network.shadowing.deviation_db != 0.0, "shadowing");
+    network.shadowing.deviation_db = 0.0;
+    out(network.fading.take().is_some(), "fading");
+    out(network.walls.take().is_some(), "walls");
+    out(network.loss != Loss::None, "loss");
+    network.loss = Loss::None;
+    out(network.rate.take().is_some(), "the highest rate of a station");
+    out(!network.delay.is_zero(), "the delay beyond the airtime");
+    network.delay = Duration::ZERO;
+    match &mut network.access {
+        Access::Turns => {
+            lines.unlike(format!("network {name}: senders take turns here, and contend in ns-3"))
+        }
+        Access::Contention(contention) => {
+            out(!contention.interference.is_empty(), "interference");
+            contention.interference.clear();
+            out(contention.edca.power_save.take().is_some(), "sleep");
+            out(contention.software.take().is_some(), "hostapd and wpa_supplicant");
+        }
+    }
+}
+
+fn plain_wire(conditions: &Conditions) -> Conditions {
+    let Conditions { delay, rate, queue, queue_discipline, .. } = conditions.clone();
+    let rate = match rate {
+        Rate::Trace { .. } | Rate::NamedTrace(_) => Rate::Unlimited,
+        rate => rate,
+    };
+    let none = Probability::ZERO;
+    Conditions {
+        delay,
+        rate,
+        queue,
+        queue_discipline,
+        jitter: None,
+        loss: Loss::None,
+        duplication: none,
+        corruption: none,
+        reordering: none,
+    }
+}
+
+/// Returns how a network's stations choose their rates, and whether they aggregate.
+pub(crate) fn stations(network: &WirelessNetwork) -> (&'static str, bool) {
+    match network.access.edca() {
+        Some(edca) if edca.rate_control == RateControl::Minstrel => ("minstrel", edca.aggregation),
+        Some(edca) => ("ideal", edca.aggregation),
+        None => ("ideal", true),
+    }
+}
+
+/// Whether a node is a radio unit that serves.
+pub(crate) fn serves(kind: &NodeKind) -> bool {
+    matches!(kind, NodeKind::RadioUnit(unit) if unit.serving)
+}

@@ -1,0 +1,102 @@
+//! What ns-3 is to run, as JSON. Units are those of the SI.
+
+use serde::Serialize;
+
+/// Time that ns-3's stations have to associate before the run begins, s.
+pub(crate) const BEFORE: f64 = 3.0;
+
+/// A scenario for `ns3/scenario.cc`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Scenario {
+    /// End, s.
+    pub(crate) until_s: f64,
+    pub(crate) networks: Vec<Network>,
+    pub(crate) radio_units: Vec<RadioUnit>,
+    pub(crate) wires: Vec<Wire>,
+    /// Nodes of each path from a radio unit to a server.
+    pub(crate) paths: Vec<Vec<String>>,
+    pub(crate) servers: Vec<String>,
+    pub(crate) robots: Vec<Robot>,
+    pub(crate) senders: Vec<Sender>,
+}
+
+impl Scenario {
+    /// Returns the time for which robots send, s.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.until_s - BEFORE
+    }
+}
+
+/// A wireless network.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Network {
+    pub(crate) name: String,
+    /// `g`, `a`, `n` or `ac`.
+    pub(crate) standard: &'static str,
+    pub(crate) is_5ghz: bool,
+    pub(crate) width_mhz: u16,
+    pub(crate) streams: u8,
+    /// Exponent of the path loss.
+    pub(crate) exponent: f64,
+    /// Path loss at 1 m, dB.
+    pub(crate) reference_db: f64,
+    /// Noise floor over the thermal noise of the channel, dB.
+    pub(crate) noise_figure_db: f64,
+    /// Weakest frame that receivers find.
+    pub(crate) sensitivity_dbm: f64,
+    /// `ideal` or `minstrel`.
+    pub(crate) rate_control: &'static str,
+    pub(crate) aggregation: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct RadioUnit {
+    pub(crate) name: String,
+    pub(crate) network: String,
+    pub(crate) channel: u8,
+    pub(crate) position: [f64; 3],
+    pub(crate) tx_power_dbm: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Wire {
+    pub(crate) ends: [String; 2],
+    pub(crate) rate_bps: u64,
+    pub(crate) delay_s: f64,
+    pub(crate) queue: Queue,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Queue {
+    pub(crate) discipline: &'static str,
+    pub(crate) limit: u64,
+    pub(crate) in_bytes: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Robot {
+    pub(crate) name: String,
+    pub(crate) tx_power_dbm: f64,
+    /// Time (s) and place (m), in the order of time.
+    pub(crate) places: Vec<[f64; 4]>,
+    /// Time (s) from which a radio unit carries its packets.
+    pub(crate) attachments: Vec<(f64, String)>,
+}
+
+/// What a robot sends to a server.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Sender {
+    pub(crate) name: String,
+    pub(crate) robot: String,
+    /// Time (s) from which a server receives it.
+    pub(crate) servers: Vec<(f64, String)>,
+    /// Times of sending, s.
+    pub(crate) times_s: Vec<f64>,
+    /// Bytes of the UDP datagrams of each time.
+    pub(crate) datagrams: Vec<u32>,
+    /// Bytes of the answer; none for images.
+    pub(crate) answer_bytes: Option<u32>,
+    pub(crate) processing_s: f64,
+    /// Age at which an answer counts no more, s.
+    pub(crate) timeout_s: f64,
+}
