@@ -351,9 +351,16 @@ StandardOf(const std::string& name)
 class Network
 {
   public:
-    explicit Network(const Json& spec)
+    /// Joins the air of networks with the same loss over distance: they share its channels.
+    Network(const Json& spec, std::map<std::pair<double, double>, Ptr<YansWifiChannel>>& air)
         : m_spec(spec)
     {
+        Ptr<YansWifiChannel>& channel = air[{spec["exponent"].Number(), spec["reference_db"].Number()}];
+        if (channel)
+        {
+            m_channel = channel;
+            return;
+        }
         // Loss over distance: `reference_db` at 1 m, and 10 n dB more for each tenfold distance.
         Ptr<LogDistancePropagationLossModel> loss = CreateObject<LogDistancePropagationLossModel>();
         loss->SetPathLossExponent(spec["exponent"].Number());
@@ -361,6 +368,7 @@ class Network
         m_channel = CreateObject<YansWifiChannel>();
         m_channel->SetPropagationLossModel(loss);
         m_channel->SetPropagationDelayModel(CreateObject<ConstantSpeedPropagationDelayModel>());
+        channel = m_channel;
     }
 
     /// Makes the radio of a node on a channel of this network. `isUnit` says whether it is a radio unit.
@@ -479,6 +487,10 @@ Run(const std::string& path, uint32_t seed)
     RngSeedManager::SetSeed(1);
     RngSeedManager::SetRun(seed);
     Config::SetDefault("ns3::WifiRemoteStationManager::RtsCtsThreshold", UintegerValue(4692480));
+    // The queue of a radio, by category. Nothing leaves it by its age.
+    const uint64_t queued = static_cast<uint64_t>(scenario["radio_queue"].Number());
+    Config::SetDefault("ns3::WifiMacQueue::MaxSize", QueueSizeValue(QueueSize(PACKETS, queued)));
+    Config::SetDefault("ns3::WifiMacQueue::MaxDelay", TimeValue(Seconds(10)));
     // As Linux's neighbours that stay reachable: no request for an address in the middle of a run.
     Config::SetDefault("ns3::ArpCache::AliveTimeout", TimeValue(Seconds(100000)));
 
@@ -521,10 +533,11 @@ Run(const std::string& path, uint32_t seed)
     }
 
     // The air.
+    std::map<std::pair<double, double>, Ptr<YansWifiChannel>> air;
     std::map<std::string, std::unique_ptr<Network>> networks;
     for (const Json& spec : scenario["networks"].Items())
     {
-        networks[spec["name"].Text()] = std::make_unique<Network>(spec);
+        networks[spec["name"].Text()] = std::make_unique<Network>(spec, air);
     }
     std::map<std::string, const Json*> unitSpecs;
     std::map<std::string, Ipv4Address> unitAddresses;

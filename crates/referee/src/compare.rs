@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_numbers::{Mean, quantile};
 
-use crate::{Measured, Ours, Run};
+use crate::{Measured, Ours, Run, ours::Group};
 
 /// Distances within which two simulators agree: up to these, no decision that stands on the figure changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,49 +100,67 @@ impl Compared {
 pub fn compare(pairs: &[(Ours, Run)], targets: &BTreeMap<String, Duration>) -> Compared {
     let mut rows = Vec::new();
     let Some((first, _)) = pairs.first() else { return Compared { rows } };
-    for name in first.run.senders.keys() {
-        let target_ms = targets.get(name).map(|target| target.as_secs_f64() * 1e3);
+    for Group { name, services, robots } in &first.groups {
+        let gathered: Vec<_> = pairs
+            .iter()
+            .map(|(ours, theirs)| {
+                let [mut our, mut their] = [Gathered::default(), Gathered::default()];
+                for service in services {
+                    let target_ms = targets.get(service).map(|target| target.as_secs_f64() * 1e3);
+                    let skipped = ours.uncounted.get(service);
+                    let counts = |number: &u32| skipped.is_none_or(|skipped| !skipped.contains(number));
+                    our.add(ours.run.senders.get(service), target_ms, counts);
+                    their.add(theirs.senders.get(service), target_ms, counts);
+                }
+                [their, our]
+            })
+            .collect();
         for figure in [Figure::Median, Figure::P95, Figure::P99, Figure::AboveTarget] {
-            let values = pairs.iter().filter_map(|(ours, theirs)| {
-                let theirs = counted(theirs.senders.get(name)?, ours, name);
-                let ours = ours.run.senders.get(name)?;
-                Some((of(&theirs, figure, target_ms)?, of(ours, figure, target_ms)?))
-            });
+            let values =
+                gathered.iter().filter_map(|[theirs, ours]| Some((theirs.of(figure)?, ours.of(figure)?)));
             rows.extend(row(name, figure, &values.collect::<Vec<_>>()));
         }
-    }
-    for robot in first.run.mbps.keys() {
-        let values = pairs
-            .iter()
-            .filter_map(|(ours, theirs)| Some((*theirs.mbps.get(robot)?, *ours.run.mbps.get(robot)?)));
-        rows.extend(row(robot, Figure::Throughput, &values.collect::<Vec<_>>()));
+        let mbps = |run: &Run| robots.iter().filter_map(|robot| run.mbps.get(robot)).sum::<f64>();
+        let values: Vec<_> = pairs.iter().map(|(ours, theirs)| (mbps(theirs), mbps(&ours.run))).collect();
+        if !robots.is_empty() {
+            rows.extend(row(name, Figure::Throughput, &values));
+        }
     }
     Compared { rows }
 }
 
-/// Returns what counts of the other side's measurements: the same requests as of ours.
-fn counted(theirs: &Measured, ours: &Ours, name: &str) -> Measured {
-    let skipped = ours.uncounted.get(name);
-    let counts = |number: &u32| skipped.is_none_or(|skipped| !skipped.contains(number));
-    let took_ms =
-        theirs.took_ms.iter().filter(|(number, _)| counts(number)).map(|(n, ms)| (*n, *ms)).collect();
-    let sent = theirs.sent.saturating_sub(skipped.map_or(0, |skipped| skipped.len() as u32));
-    Measured { took_ms, sent }
+/// The measurements of a group.
+#[derive(Debug, Default)]
+struct Gathered {
+    /// Rising only when figures are taken.
+    took_ms: Vec<f64>,
+    sent: u32,
+    kept: u32,
 }
 
-fn of(measured: &Measured, figure: Figure, target_ms: Option<f64>) -> Option<f64> {
-    let mut times: Vec<_> = measured.took_ms.values().copied().collect();
-    times.sort_by(f64::total_cmp);
-    match figure {
-        Figure::Median => quantile(&times, 0.5),
-        Figure::P95 => quantile(&times, 0.95),
-        Figure::P99 => quantile(&times, 0.99),
-        Figure::AboveTarget => {
-            let kept = times.partition_point(|ms| *ms <= target_ms.unwrap_or(f64::INFINITY));
-            (measured.sent > 0 && target_ms.is_some())
-                .then(|| 100.0 * (1.0 - kept as f64 / f64::from(measured.sent)))
+impl Gathered {
+    /// Adds the requests of a service that count. Those that a side did not send do not.
+    fn add(&mut self, measured: Option<&Measured>, target_ms: Option<f64>, counts: impl Fn(&u32) -> bool) {
+        let Some(Measured { took_ms, sent }) = measured else { return };
+        self.sent += (0..*sent).filter(|number| counts(number)).count() as u32;
+        let counted: Vec<_> =
+            took_ms.iter().filter(|(number, _)| counts(number)).map(|(_, ms)| *ms).collect();
+        self.kept += counted.iter().filter(|ms| target_ms.is_none_or(|target| **ms <= target)).count() as u32;
+        self.took_ms.extend(counted);
+    }
+
+    fn of(&self, figure: Figure) -> Option<f64> {
+        let mut times = self.took_ms.clone();
+        times.sort_by(f64::total_cmp);
+        match figure {
+            Figure::Median => quantile(&times, 0.5),
+            Figure::P95 => quantile(&times, 0.95),
+            Figure::P99 => quantile(&times, 0.99),
+            Figure::AboveTarget => {
+                (self.sent > 0).then(|| 100.0 * (1.0 - f64::from(self.kept) / f64::from(self.sent)))
+            }
+            Figure::Throughput => None,
         }
-        Figure::Throughput => None,
     }
 }
 
@@ -179,9 +197,12 @@ mod tests {
 
     #[test]
     fn requests_without_an_answer_are_above_the_target() {
-        let measured = Measured { took_ms: [(0, 5.0), (1, 20.0)].into(), sent: 4 };
-        assert_eq!(of(&measured, Figure::AboveTarget, Some(15.0)), Some(75.0));
-        assert_eq!(of(&measured, Figure::AboveTarget, None), None);
-        assert_eq!(of(&measured, Figure::Median, None), Some(12.5));
+        let measured = Measured { took_ms: [(0, 5.0), (1, 20.0), (3, 6.0)].into(), sent: 5 };
+        let mut gathered = Gathered::default();
+        // The last request does not count.
+        gathered.add(Some(&measured), Some(15.0), |number| *number < 4);
+        assert_eq!(gathered.of(Figure::AboveTarget), Some(50.0));
+        assert_eq!(gathered.of(Figure::Median), Some(6.0));
+        assert_eq!(Gathered::default().of(Figure::AboveTarget), None);
     }
 }

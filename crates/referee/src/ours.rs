@@ -32,6 +32,8 @@ const POSE: u32 = 104;
 /// Bytes of an image in each datagram, and bytes before them without the names.
 const FRAGMENT: u32 = 1280;
 const BEFORE_FRAGMENT: u32 = 33;
+/// Packets that a radio queues.
+const RADIO_QUEUE: u32 = 1000;
 /// Bytes of a UDP datagram's headers in an Ethernet frame.
 pub(crate) const HEADERS: f64 = 42.0;
 /// Ages at which answers count no more: of commands, and of poses.
@@ -49,8 +51,19 @@ pub struct Ours {
     pub run: Run,
     /// The same for ns-3.
     pub scenario: Scenario,
+    /// What is compared together.
+    pub(crate) groups: Vec<Group>,
     /// Numbers of requests that do not count, by sender.
     pub(crate) uncounted: BTreeMap<String, BTreeSet<u32>>,
+}
+
+/// Services and robots whose figures are compared together: those whose robots send images, and the others. What one of
+/// many robots meets depends too much on chance.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Group {
+    pub(crate) name: String,
+    pub(crate) services: Vec<String>,
+    pub(crate) robots: Vec<String>,
 }
 
 /// Runs a testbed in virtual time up to `until`. Returns `None` if `go_on` said to stop.
@@ -175,10 +188,9 @@ impl Seen {
             let skipped: BTreeSet<u32> =
                 numbered().filter(|(sample, _)| !counts(sample)).map(|(_, number)| number).collect();
             let took_ms = numbered()
-                .filter(|(_, number)| !skipped.contains(number))
                 .filter_map(|(sample, number)| Some((number, sample.took?.as_secs_f64() * 1e3)))
                 .collect();
-            let sent = (samples.len() - skipped.len()) as u32;
+            let sent = samples.len() as u32;
             senders.push(request_sender(service, &samples));
             run.senders.insert(name.clone(), Measured { took_ms, sent });
             uncounted.insert(name, skipped);
@@ -213,8 +225,9 @@ impl Seen {
                 self.bytes.iter().filter(|(link, _)| link.starts_with(&links)).map(|(_, bytes)| bytes).sum();
             run.mbps.insert(node.id.to_string(), bytes as f64 * 8e-6 / until.as_secs_f64());
         }
+        let groups = groups(testbed, &senders);
         let scenario = self.scenario(testbed, until, senders);
-        Ours { run, scenario, uncounted }
+        Ours { run, scenario, groups, uncounted }
     }
 
     fn scenario(&self, testbed: &Testbed, until: Duration, senders: Vec<Sender>) -> Scenario {
@@ -258,6 +271,7 @@ impl Seen {
         });
         Scenario {
             until_s: BEFORE + until.as_secs_f64(),
+            radio_queue: RADIO_QUEUE,
             networks: networks.collect(),
             wires: graph.links.iter().map(wire).collect(),
             paths,
@@ -267,6 +281,37 @@ impl Seen {
             senders,
         }
     }
+}
+
+/// Returns the groups: by whether robots send images, and by the kind of service.
+fn groups(testbed: &Testbed, senders: &[Sender]) -> Vec<Group> {
+    let sends_images =
+        |robot: &str| senders.iter().any(|sender| sender.robot == robot && sender.answer_bytes.is_none());
+    let mut groups = Vec::new();
+    for (images, of) in [(true, "with images"), (false, "without images")] {
+        for localizes in [false, true] {
+            let services = testbed.services.iter().filter(|service| {
+                service.localizes() == localizes
+                    && sends_images(service.robot.as_str()) == images
+                    && senders.iter().any(|sender| sender.name == service.id.as_str())
+            });
+            let services: Vec<_> = services.collect();
+            let name = match &services[..] {
+                [] => continue,
+                [one] => one.id.to_string(),
+                many if localizes => format!("{} robots {of}, localization", many.len()),
+                many => format!("{} robots {of}", many.len()),
+            };
+            let robots =
+                if localizes { Vec::new() } else { services.iter().map(|s| s.robot.to_string()).collect() };
+            groups.push(Group {
+                name,
+                services: services.iter().map(|s| s.id.to_string()).collect(),
+                robots,
+            });
+        }
+    }
+    groups
 }
 
 fn request_sender(service: &Service, samples: &[&ServiceTime]) -> Sender {
@@ -357,4 +402,58 @@ fn path(testbed: &Testbed, unit: &NodeId, server: &str) -> Option<Vec<String>> {
     }
     (nodes.len() > 1 && matches!(to.kind, NodeKind::Server(_)))
         .then(|| nodes.iter().map(NodeId::to_string).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Pose, PoseSource, Velocity};
+    use cotorra_plugin::{
+        convert::{to_pose, to_twist},
+        wire::{self, HEADER_LEN, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
+    };
+
+    use super::*;
+
+    /// Returns the bytes that a packet has.
+    fn bytes(encode: impl FnOnce(&mut Vec<u8>)) -> u32 {
+        let mut buffer = Vec::new();
+        encode(&mut buffer);
+        buffer.len() as u32
+    }
+
+    #[test]
+    fn datagrams_are_as_long_as_those_that_robots_send() {
+        let robot: NodeId = "robot".parse().unwrap();
+        let pose = Pose::planar(1.0, 2.0, 0.5, [0.0; 9], PoseSource::Odometry);
+        let position = PositionPacket {
+            sequence: 1,
+            emitted: Timestamp::ZERO,
+            nonce: 1,
+            waypoint: 0,
+            goal: None,
+            robot: robot.clone(),
+            pose: to_pose(&pose),
+        };
+        let name = robot.as_str().len() as u32;
+        assert_eq!(bytes(|buffer| position.encode(buffer)), POSITION + name);
+        let answer = NavigationPacket::answering(&position, 0, to_twist(Velocity::planar(0.0, 0.0)));
+        assert_eq!(bytes(|buffer| answer.encode(buffer)), NAVIGATION);
+        let scan = ScanPacket {
+            sequence: 1,
+            emitted: Timestamp::ZERO,
+            nonce: 1,
+            robot,
+            odometry: [0.0; 3],
+            sweep: [0.0; 3],
+            believed: pose,
+            since: None,
+            first_angle: 0.0,
+            angle_step: 0.0,
+            ranges: vec![0; 360],
+        };
+        assert_eq!(bytes(|buffer| scan.encode(buffer)), SCAN + name);
+        let answer = PosePacket { sequence: 1, emitted: Timestamp::ZERO, nonce: 1, pose };
+        assert_eq!(bytes(|buffer| answer.encode(buffer)), POSE);
+        assert_eq!((FRAGMENT, BEFORE_FRAGMENT), (wire::FRAGMENT as u32, HEADER_LEN as u32 + 1));
+    }
 }

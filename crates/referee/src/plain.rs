@@ -22,8 +22,14 @@ pub struct Plain {
 pub fn plain(mut testbed: Testbed) -> Plain {
     let mut lines = Lines::default();
     let HardwareGraph { wireless, links, .. } = &mut testbed.graph;
-    for (name, network) in wireless {
+    for (name, network) in wireless.iter_mut() {
         plain_network(name, network, &mut lines);
+    }
+    if wireless
+        .values()
+        .any(|network| network.path_loss != wireless.values().next().unwrap_or(network).path_loss)
+    {
+        lines.unlike("networks with another path loss do not hear each other in ns-3".to_owned());
     }
     for link in links {
         let conditions = plain_wire(&link.forward);
@@ -138,4 +144,43 @@ pub(crate) fn stations(network: &WirelessNetwork) -> (&'static str, bool) {
 /// Whether a node is a radio unit that serves.
 pub(crate) fn serves(kind: &NodeKind) -> bool {
     matches!(kind, NodeKind::RadioUnit(unit) if unit.serving)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_ns3_lacks_is_taken_out_and_listed() {
+        let text = "\
+name: lab
+wireless:
+  lab:
+    fading: rayleigh
+    loss: 1 %
+    interference: { oven: { kind: device, channel: 1, position: [0, 0], on: 10 ms, off: 10 ms } }
+  old: { access: turns, delay: 0 ms, shadowing: { deviation: 0 dB } }
+nodes:
+  R: { kind: radio_unit, network: lab, position: [0, 0], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+links:
+  - { ends: [R, edge], delay: 5 ms, jitter: 1 ms, rate: 10 Mbit/s }
+";
+        let testbed = cotorra_testbed_file::parse("lab.yaml", text, ".".as_ref()).unwrap();
+        let Plain { testbed: plain, left_out, unlike } = plain(testbed.clone());
+        let network = &plain.graph.wireless["lab"];
+        assert_eq!((network.fading, network.loss, network.delay), (None, Loss::None, Duration::ZERO));
+        assert!(network.access.interference().is_empty());
+        assert_eq!(
+            (plain.graph.links[0].forward.jitter, plain.graph.links[0].forward.delay.as_millis()),
+            (None, 5)
+        );
+        let listed = |what: &str| left_out.iter().any(|line| line.starts_with(what));
+        for what in ["shadowing", "fading", "loss", "the delay", "interference", "jitter, loss", "probes"] {
+            assert!(listed(what), "{what}: {left_out:?}");
+        }
+        assert_eq!(unlike, ["network old: senders take turns here, and contend in ns-3"]);
+        // What is plain stays as it is.
+        assert_eq!(super::plain(plain.clone()), Plain { testbed: plain, left_out: Vec::new(), unlike });
+    }
 }

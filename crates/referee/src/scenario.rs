@@ -10,6 +10,8 @@ pub(crate) const BEFORE: f64 = 3.0;
 pub struct Scenario {
     /// End, s.
     pub(crate) until_s: f64,
+    /// Packets that a radio queues for each category.
+    pub(crate) radio_queue: u32,
     pub(crate) networks: Vec<Network>,
     pub(crate) radio_units: Vec<RadioUnit>,
     pub(crate) wires: Vec<Wire>,
