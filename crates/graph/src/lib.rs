@@ -88,7 +88,7 @@ pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
 pub use instruction::Instruction;
-pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
+pub use jitter::{Correlation, CorrelationTime, InvalidCorrelation, Jitter, JitterDistribution};
 pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
     CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,

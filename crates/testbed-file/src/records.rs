@@ -1089,6 +1089,8 @@ record! {
         distribution: JitterDistribution = "normal",
         /// Correlation with the jitter of the next packet, above -100 % and below 100 %.
         correlation: Spanned<Correlation> = "0 %",
+        /// Time over which the jitter changes, whatever is sent. Without it, each packet has a jitter of its own.
+        over: Option<Spanned<Duration>>,
     }
 }
 
