@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{BitRate, Correlation, Probability};
+use cotorra_graph::{BitRate, Correlation, CorrelationTime, Probability};
 
 /// Parses a figure, and returns it in the base unit.
 fn quantity(text: &str, like: &str, units: &[(&str, f64)]) -> Result<f64, String> {
@@ -32,6 +32,11 @@ pub fn parse_time(text: &str) -> Result<Duration, String> {
 pub fn parse_share(text: &str) -> Result<Probability, String> {
     let share = quantity(text, "1%", &[("%", 0.01)])?;
     Probability::new(share).ok_or_else(|| "it is 100% at most".to_owned())
+}
+
+/// Parses a time over which a jitter changes.
+pub fn parse_correlation_time(text: &str) -> Result<CorrelationTime, String> {
+    CorrelationTime::new(parse_time(text)?).ok_or_else(|| "it is 1ms to 65s".to_owned())
 }
 
 /// Parses a correlation in percent.

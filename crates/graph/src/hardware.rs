@@ -202,9 +202,44 @@ pub struct Robot {
     /// Declared sensors, in the file's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sensor>,
+    /// When its sensors and position packets are due.
+    #[serde(default)]
+    pub clock: RobotClock,
     /// Its real radio, in a network whose radios are hardware.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<RealRadio>,
+}
+
+/// When a robot's sensors and position packets are due.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct RobotClock {
+    /// When intervals begin.
+    pub phase: Phase,
+    /// Largest error of the rate of each, parts per million: uniform within ± this, by the seed.
+    pub drift_ppm: f64,
+}
+
+impl Default for RobotClock {
+    fn default() -> Self {
+        Self { phase: Phase::Random, drift_ppm: Self::DRIFT_PPM }
+    }
+}
+
+impl RobotClock {
+    /// The usual drift, twice the median error of clocks: 78 ppm among 20 000 hosts (Mills, Computer network time
+    /// synchronization, 2006).
+    pub const DRIFT_PPM: f64 = 156.0;
+}
+
+/// When the intervals of a robot's sensors and position packets begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Each by itself within its first interval, by the seed.
+    #[default]
+    Random,
+    /// All when the run begins.
+    Aligned,
 }
 
 /// Bases that the simulated robot knows.

@@ -1,8 +1,9 @@
-//! Jitter of links: a random part of the delay, and its correlation from one packet to the next.
+//! Jitter of links: a random part of the delay, and its correlation from one packet to the next, or over time.
 
 use std::{
     f64::consts::{FRAC_1_SQRT_2, PI},
     fmt,
+    num::NonZeroU16,
     time::Duration,
 };
 
@@ -23,16 +24,23 @@ pub struct Jitter {
     /// Correlation with the jitter of the next packet.
     #[serde(default, skip_serializing_if = "Correlation::is_none")]
     pub correlation: Correlation,
+    /// Time over which it changes: the integral of its scores' correlation over time. Without it, each
+    /// packet has a jitter of its own.
+    #[serde(rename = "over_ms", default, skip_serializing_if = "Option::is_none")]
+    pub over: Option<CorrelationTime>,
 }
 
 impl Jitter {
-    /// Checks that its distribution can have its correlation.
+    /// Checks that its distribution can have its correlation, and that it has one kind of correlation.
     ///
     /// # Errors
-    /// [`InvalidCorrelation`] if the correlation is too far below zero.
+    /// [`InvalidCorrelation`] if the correlation is too far below zero, or if there is one over time, too.
     pub fn check(&self) -> Result<(), InvalidCorrelation> {
+        if self.over.is_some() && !self.correlation.is_none() {
+            return Err(InvalidCorrelation::Both);
+        }
         let least = self.distribution.correlation(-1.0);
-        if self.correlation.get() > least { Ok(()) } else { Err(InvalidCorrelation { least }) }
+        if self.correlation.get() > least { Ok(()) } else { Err(InvalidCorrelation::TooLow { least }) }
     }
 
     /// Returns the mean of a delay with this jitter, to a microsecond, if it is above the delay by more than 1 %: totals below
@@ -64,18 +72,29 @@ impl Jitter {
         (mean > d * 1.01).then(|| Duration::from_micros((mean * 1e6).round() as u64))
     }
 
+    /// Whether a packet's jitter depends on those before it.
+    pub fn is_correlated(&self) -> bool {
+        self.over.is_some() || !self.correlation.is_none()
+    }
+
     /// Returns the correlation of the normal scores behind this jitter.
     pub fn score_correlation(&self) -> f64 {
         self.distribution.score_correlation(self.correlation)
     }
 }
 
-/// Error of a correlation that a distribution cannot have: one with a long tail on one side only is never the mirror image of
-/// itself.
+/// Error of a correlation that a jitter cannot have.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the jitter's distribution allows no correlation of {:.1} % or below", least * 100.0)]
-pub struct InvalidCorrelation {
-    least: f64,
+pub enum InvalidCorrelation {
+    /// A distribution with a long tail on one side only is never the mirror image of itself.
+    #[error("the jitter's distribution allows no correlation of {:.1} % or below", least * 100.0)]
+    TooLow {
+        /// The bound.
+        least: f64,
+    },
+    /// Jitter changes over time or from packet to packet.
+    #[error("the jitter has a correlation from packet to packet and one over time: leave one out")]
+    Both,
 }
 
 /// Correlation of a packet's jitter with that of the next packet: above -1 and below 1.
@@ -129,6 +148,40 @@ impl TryFrom<f64> for Correlation {
 impl fmt::Display for Correlation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} %", f64::from(self.0) / 1e4)
+    }
+}
+
+/// Time over which a jitter changes: 1 ms to 65 s.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(value_type = f64)]
+#[serde(try_from = "f64", into = "f64")]
+// In milliseconds, so that conditions stay small.
+pub struct CorrelationTime(NonZeroU16);
+
+impl CorrelationTime {
+    /// Rounds to a millisecond. `None` if that is out of range.
+    pub fn new(time: Duration) -> Option<Self> {
+        let ms = u16::try_from((time + Duration::from_micros(500)).as_millis()).ok()?;
+        NonZeroU16::new(ms).map(Self)
+    }
+
+    /// Returns the time.
+    pub fn get(self) -> Duration {
+        Duration::from_millis(u64::from(self.0.get()))
+    }
+}
+
+impl From<CorrelationTime> for f64 {
+    fn from(time: CorrelationTime) -> Self {
+        millis::of(time.get())
+    }
+}
+
+impl TryFrom<f64> for CorrelationTime {
+    type Error = &'static str;
+    fn try_from(ms: f64) -> Result<Self, Self::Error> {
+        let time = millis::duration(ms).ok().and_then(Self::new);
+        time.ok_or("a jitter changes over a time from 1 ms to 65 s")
     }
 }
 
@@ -276,6 +329,25 @@ mod tests {
         assert_eq!(serde_json::from_str::<Jitter>(&text).unwrap(), correlated);
         let wrong = r#"{"deviation_ms":2.0,"correlation":1.0}"#;
         assert!(serde_json::from_str::<Jitter>(wrong).is_err());
+    }
+
+    #[test]
+    fn jitter_is_correlated_by_packets_or_over_time() {
+        let time = |us| CorrelationTime::new(Duration::from_micros(us));
+        let over = |ms: u64| Jitter { over: time(1000 * ms), ..Jitter::default() };
+        assert_eq!(over(50).check(), Ok(()));
+        assert_eq!([0, 499, 66_000_000].map(time), [None; 3]);
+        assert_eq!(time(1499).unwrap().get(), Duration::from_millis(1));
+        let both = Jitter { correlation: correlation(0.1), ..over(50) };
+        assert_eq!(both.check(), Err(InvalidCorrelation::Both));
+        assert_eq!(
+            [over(50), both, Jitter::default()].map(|jitter| jitter.is_correlated()),
+            [true, true, false]
+        );
+        let text = serde_json::to_string(&over(50)).unwrap();
+        assert_eq!(text, r#"{"deviation_ms":0.0,"distribution":"normal","over_ms":50.0}"#);
+        assert_eq!(serde_json::from_str::<Jitter>(&text).unwrap(), over(50));
+        assert!(serde_json::from_str::<Jitter>(&text.replace("50.0", "0.0")).is_err());
     }
 
     #[test]

@@ -81,14 +81,14 @@ pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
     BackgroundScan, Capacity, Direction, Fading, Frames, GapPolicy, HandoverTimes, HardwareGraph,
-    HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server,
-    Shadowing, Tier, WifiStandard, WirelessNetwork,
+    HostAddress, Link, Node, NodeKind, PathLoss, Phase, RadioUnit, Roaming, Robot, RobotClock, RobotModel,
+    ScanVisits, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
 pub use instruction::Instruction;
-pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
+pub use jitter::{Correlation, CorrelationTime, InvalidCorrelation, Jitter, JitterDistribution};
 pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
     CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,

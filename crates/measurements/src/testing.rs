@@ -7,10 +7,10 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions, Correlation,
-    DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Image, InstancePath,
-    Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters, LinkId, LinkTime,
-    ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
-    Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
+    CorrelationTime, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Image,
+    InstancePath, Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters, LinkId,
+    LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose,
+    PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
     RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
     ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace,
     Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
@@ -156,11 +156,14 @@ prop_compose! {
 
 fn jitter(deviation: impl Strategy<Value = Duration>) -> impl Strategy<Value = Jitter> {
     let shapes = vec![JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
-    (deviation, select(shapes), correlation()).prop_map(|(deviation, distribution, correlation)| Jitter {
-        deviation,
-        distribution,
-        correlation,
-    })
+    (deviation, select(shapes), correlation(), of(1u64..60_000)).prop_map(
+        |(deviation, distribution, correlation, over_ms)| Jitter {
+            deviation,
+            distribution,
+            correlation,
+            over: over_ms.map(Duration::from_millis).and_then(CorrelationTime::new),
+        },
+    )
 }
 
 fn correlation() -> impl Strategy<Value = Correlation> {

@@ -5,15 +5,16 @@ use std::{net::Ipv4Addr, time::Duration};
 use cotorra_graph::{
     AgentId, BackgroundScan, BitRate, Bound, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
     EngineKind, GapPolicy, InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability,
-    ListenPort, NodeId, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl,
-    Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
+    ListenPort, NodeId, Phase, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate,
+    RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume,
+    WifiStandard,
 };
 
 use crate::{
     image::{Device, Reference},
     walls::WallLoss,
     yaml::{
-        Angle, Bytes, Decibels, Frequency, Metres, Span, Speed,
+        Angle, Bytes, Decibels, Drift, Frequency, Metres, Span, Speed,
         decode::{Amount, Either, Spanned, Table, choice, record, tagged},
     },
 };
@@ -571,6 +572,8 @@ record! {
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
         /// Sensors by name, beside those of its contexts.
         sensors: Table<SensorId, SensorRecord> = {},
+        /// When its sensors and position packets are due.
+        clock: ClockRecord = {},
         /// CPUs for VNFs.
         cpus: Amount = 2,
         /// Memory for VNFs.
@@ -595,6 +598,16 @@ record! {
         short_interval: Spanned<Duration> = "30 s",
         /// From scan to scan otherwise.
         long_interval: Spanned<Duration> = "300 s",
+    }
+}
+
+record! {
+    /// When a robot's sensors and position packets are due.
+    ClockRecord {
+        /// When their intervals begin.
+        phase: Phase = "random",
+        /// Largest error of the rate of each.
+        drift: Drift = "156 ppm",
     }
 }
 
@@ -1089,6 +1102,8 @@ record! {
         distribution: JitterDistribution = "normal",
         /// Correlation with the jitter of the next packet, above -100 % and below 100 %.
         correlation: Spanned<Correlation> = "0 %",
+        /// Time over which the jitter changes, whatever is sent. Without it, each packet has a jitter of its own.
+        over: Option<Spanned<Duration>>,
     }
 }
 
@@ -1492,6 +1507,10 @@ choice!(JitterDistribution, "distribution", {
     "uniform" => Self::Uniform, "every value within the deviation is as likely";
     "normal" => Self::Normal, "Gaussian";
     "pareto" => Self::Pareto, "a long upper tail";
+});
+choice!(Phase, "phase", {
+    "random" => Self::Random, "each by itself within its first interval, by the seed";
+    "aligned" => Self::Aligned, "all when the run begins";
 });
 choice!(LinuxCapability, "capability", {
     "net_bind_service" => Self::NetBindService, "ports below 1024";

@@ -4,12 +4,13 @@ use std::{path::PathBuf, time::Duration};
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use cotorra_graph::{
-    BitRate, ConditionChange, Correlation, Direction, Jitter, LinkId, Loss, Probability, Rate, ThroughputTest,
+    BitRate, ConditionChange, Correlation, CorrelationTime, Direction, Jitter, LinkId, Loss, Probability,
+    Rate, ThroughputTest,
 };
 
 use crate::{
     duration::parse_duration,
-    quantity::{parse_correlation, parse_rate, parse_share, parse_time},
+    quantity::{parse_correlation, parse_correlation_time, parse_rate, parse_share, parse_time},
     running::WhichRun,
 };
 
@@ -69,6 +70,9 @@ pub struct SetArgs {
     /// Correlation of the jitter of packets that follow each other, such as 40%
     #[arg(long, value_name = "SHARE", value_parser = parse_correlation, requires = "jitter", allow_hyphen_values = true)]
     jitter_correlation: Option<Correlation>,
+    /// Time over which the jitter changes, whatever is sent, such as 50ms
+    #[arg(long, value_name = "DURATION", value_parser = parse_correlation_time, requires = "jitter", conflicts_with = "jitter_correlation")]
+    jitter_over: Option<CorrelationTime>,
     /// Share of packets that are lost, such as 1%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, group = "change")]
     loss: Option<Probability>,
@@ -160,6 +164,7 @@ impl SetArgs {
             jitter: self.jitter.map(|deviation| Jitter {
                 deviation,
                 correlation: self.jitter_correlation.unwrap_or_default(),
+                over: self.jitter_over,
                 ..Jitter::default()
             }),
             loss: self.loss.map(loss),

@@ -58,6 +58,7 @@ const UNITS: [(&str, &str); 11] = [
     ("_dbm", "dBm"),
     ("_db", "dB"),
     ("_mps", "m/s"),
+    ("_ppm", "ppm"),
     ("_m", "m"),
     ("_v", "V"),
     ("bytes", "bytes"),

@@ -193,6 +193,9 @@ impl Conditions {
             if !jitter.correlation.is_none() {
                 parts.push(format!("correlation {}", jitter.correlation));
             }
+            if let Some(over) = jitter.over {
+                parts.push(format!("jitter over {} ms", millis(over.get())));
+            }
         }
         parts.push(match &self.rate {
             Rate::Unlimited => "unlimited".to_owned(),

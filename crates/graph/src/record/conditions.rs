@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{Columns, Fields, Reader, Unreadable, Value, json, parse_json, required, unreadable};
 use crate::{
     conditions::{Conditions, Loss, Rate, Trace},
-    jitter::{Correlation, Jitter, JitterDistribution},
+    jitter::{Correlation, CorrelationTime, Jitter, JitterDistribution},
     queue::QueueLimit,
     units::{BitRate, Probability},
 };
@@ -18,6 +18,9 @@ pub const CONDITIONS: &[&str] = &[
     "queue_discipline", "jitter_correlation", "trace_file",
 ];
 
+/// Between the distribution of a jitter and the time over which it changes.
+const OVER: &str = " over ";
+
 impl Columns for Conditions {
     fn put<'a>(&'a self, row: &mut Fields<'a>) {
         let text = |row: &mut Fields<'a>, text: &'static str| row.0.push(Value::Text(text.into()));
@@ -25,14 +28,16 @@ impl Columns for Conditions {
         match &self.jitter {
             Some(jitter) => {
                 jitter.deviation.put(row);
-                text(
-                    row,
-                    match jitter.distribution {
-                        JitterDistribution::Uniform => "uniform",
-                        JitterDistribution::Normal => "normal",
-                        JitterDistribution::Pareto => "pareto",
-                    },
-                );
+                let distribution = match jitter.distribution {
+                    JitterDistribution::Uniform => "uniform",
+                    JitterDistribution::Normal => "normal",
+                    JitterDistribution::Pareto => "pareto",
+                };
+                // A column more would be missing in spools and histories of before.
+                row.0.push(Value::Text(match jitter.over {
+                    None => distribution.into(),
+                    Some(over) => format!("{distribution}{OVER}{} ms", f64::from(over)).into(),
+                }));
             }
             None => row.nulls(2),
         }
@@ -93,7 +98,17 @@ impl Columns for Conditions {
     fn take<E: From<Unreadable>>(row: &mut Reader<'_, E>) -> Result<Self, E> {
         let delay = row.take()?;
         let deviation = row.take::<Option<_>>()?;
-        let distribution = match row.0.text()?.as_deref() {
+        let shape = row.0.text()?;
+        let (shape, over) = match shape.as_deref().map(|shape| shape.split_once(OVER).ok_or(shape)) {
+            Some(Ok((shape, over))) => {
+                let ms = over.strip_suffix(" ms").and_then(|ms| ms.parse().ok());
+                let over = ms.and_then(|ms: f64| CorrelationTime::try_from(ms).ok());
+                (Some(shape), Some(over.ok_or_else(|| unreadable("a jitter changes over no time"))?))
+            }
+            Some(Err(shape)) => (Some(shape), None),
+            None => (None, None),
+        };
+        let distribution = match shape {
             None => None,
             Some("uniform") => Some(JitterDistribution::Uniform),
             Some("normal") => Some(JitterDistribution::Normal),
@@ -139,7 +154,8 @@ impl Columns for Conditions {
             (rate, _) => rate,
         };
         let jitter = deviation.zip(distribution);
-        let jitter = jitter.map(|(deviation, distribution)| Jitter { deviation, distribution, correlation });
+        let jitter =
+            jitter.map(|(deviation, distribution)| Jitter { deviation, distribution, correlation, over });
         Ok(Self { delay, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline })
     }
 }

@@ -9,8 +9,8 @@ use std::{fmt::Debug, str::FromStr, time::Duration};
 use cotorra_graph::{
     Access, Attachment, BitRate, Capacity, Conditions, Dbm, Direction, Driver, GapPolicy, HandoverTimes,
     HardwareGraph, Kpis, Link, LinkContext, Loss, MachineContext, Node, NodeKind, PathLoss, Pose, PoseSource,
-    Program, RadioUnit, Roaming, Robot, RobotContext, RobotModel, SensorData, Server, Service, ServiceTime,
-    Shadowing, Testbed, Tier, Timestamp, Velocity, Vnf, WifiStandard, WirelessNetwork,
+    Program, RadioUnit, Roaming, Robot, RobotClock, RobotContext, RobotModel, SensorData, Server, Service,
+    ServiceTime, Shadowing, Testbed, Tier, Timestamp, Velocity, Vnf, WifiStandard, WirelessNetwork,
 };
 
 const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
@@ -52,6 +52,7 @@ pub fn robot(network: &str) -> Robot {
         roaming: Roaming::Instructed,
         driver: Driver::default(),
         sensors: Vec::new(),
+        clock: RobotClock::default(),
         radio: None,
     }
 }

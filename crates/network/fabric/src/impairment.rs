@@ -3,7 +3,7 @@
 
 use std::{f64::consts::FRAC_1_SQRT_2, time::Duration};
 
-use cotorra_graph::{Conditions, Jitter, JitterDistribution, Loss, Probability};
+use cotorra_graph::{Conditions, Jitter, JitterDistribution, Loss, Probability, Timestamp};
 use cotorra_numbers::Draws;
 
 use crate::frame::Frame;
@@ -21,6 +21,46 @@ pub(crate) struct Impairments {
     score_correlation: f64,
     /// Normal score of the last jitter that had a correlation.
     score: Option<f64>,
+    /// Jitter as a process in time, with the time of its last score.
+    process: Option<(Timestamp, Process)>,
+}
+
+/// A normal score and its rate of change, in units of its stationary deviation: the stationary solution of a critically damped
+/// oscillator that white noise drives.
+///
+/// Scores at times t apart have the correlation (1 + t/θ)·exp(-t/θ), that of Matérn with smoothness 3/2 (Rasmussen and
+/// Williams, Gaussian processes for machine learning, 2006, section 4.2.1); its integral over t is 2θ. Score and rate
+/// together are Markov, so that the law at some times does not depend on which others are asked for. A path has a slope, unlike
+/// that of an Ornstein-Uhlenbeck process: a queue's delay falls no faster than time passes, and a rough path would let
+/// packets wait for those before them, more often with more packets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Process {
+    score: f64,
+    rate: f64,
+}
+
+impl Process {
+    /// Draws the stationary state.
+    fn new(rng: &mut Draws) -> Self {
+        Self { score: rng.normal(), rate: rng.normal() }
+    }
+
+    /// Moves on by `x` times θ.
+    fn advance(&mut self, x: f64, rng: &mut Draws) {
+        let Self { score, rate } = *self;
+        let decay = (-x).exp();
+        // The stationary covariance is the identity; what the decay leaves of it is missing in the noise.
+        let missing = 1.0 - decay * decay * (1.0 - 2.0 * x + 2.0 * x * x);
+        if missing <= 0.0 {
+            return;
+        }
+        let common = 2.0 * x * x * decay * decay / missing.sqrt();
+        let own = 1.0 - decay * decay * (1.0 + 2.0 * x + 2.0 * x * x) - common * common;
+        let noise = rng.normal();
+        self.rate = decay * ((1.0 - x) * rate - x * score) + missing.sqrt() * noise;
+        self.score =
+            decay * ((1.0 + x) * score + x * rate) + common * noise + own.max(0.0).sqrt() * rng.normal();
+    }
 }
 
 /// The random process of losses.
@@ -51,6 +91,7 @@ impl Impairments {
             jitter: conditions.jitter,
             score_correlation: score_correlation(conditions),
             score: None,
+            process: None,
         }
     }
 
@@ -98,9 +139,13 @@ impl Impairments {
         happens(&mut self.rng, self.reordering)
     }
 
-    /// Returns the deviation of the packet's delay, in units of the jitter's deviation; 0 without jitter.
-    pub(crate) fn deviate(&mut self) -> f64 {
+    /// Returns the deviation of the delay of a packet that is sent at this time, in units of the jitter's deviation; 0 without
+    /// jitter.
+    pub(crate) fn deviate(&mut self, sent: Timestamp) -> f64 {
         let Some(jitter) = self.jitter else { return 0.0 };
+        if let Some(over) = jitter.over {
+            return of_score(jitter.distribution, self.score_at(sent, over.get()));
+        }
         if !jitter.correlation.is_none() {
             return of_score(jitter.distribution, self.next_score());
         }
@@ -109,6 +154,16 @@ impl Impairments {
             JitterDistribution::Normal => self.rng.normal(),
             JitterDistribution::Pareto => pareto(1.0 - self.rng.unit()),
         }
+    }
+
+    /// Returns the normal score of jitter at a time; that of the last time for one before it.
+    fn score_at(&mut self, now: Timestamp, over: Duration) -> f64 {
+        let rng = &mut self.rng;
+        let (at, process) = self.process.get_or_insert_with(|| (now, Process::new(rng)));
+        // The correlation's integral over time is 2θ.
+        process.advance(now.since(*at).as_secs_f64() / over.as_secs_f64() * 2.0, rng);
+        *at = now.max(*at);
+        process.score
     }
 
     /// Returns the normal score of the next jitter: an autoregression of first order in its stationary state.
@@ -169,7 +224,7 @@ pub(crate) fn jittered(delay: Duration, deviate: f64, jitter: Option<Jitter>) ->
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::Correlation;
+    use cotorra_graph::{Correlation, CorrelationTime};
 
     use super::*;
 
@@ -279,9 +334,10 @@ mod tests {
     /// Returns the deviates of successive packets.
     fn series(distribution: JitterDistribution, correlation: f64) -> Vec<f64> {
         let correlation = Correlation::new(correlation).unwrap();
-        let jitter = Some(Jitter { deviation: Duration::from_millis(1), distribution, correlation });
+        let jitter =
+            Some(Jitter { deviation: Duration::from_millis(1), distribution, correlation, over: None });
         let mut impairments = impairments(&Conditions { jitter, ..Conditions::default() });
-        (0..DEVIATES).map(|_| impairments.deviate()).collect()
+        (0..DEVIATES).map(|_| impairments.deviate(Timestamp::ZERO)).collect()
     }
 
     /// Returns deviates, rising.
@@ -376,16 +432,83 @@ Pareto: -0.57 -0.56 -0.46 -0.27 0.11 1.44 3.70
         }
     }
 
+    /// Deviates at these times, ms, of a jitter that changes over 50 ms.
+    fn over_time(distribution: JitterDistribution, times: impl Iterator<Item = f64>) -> Vec<f64> {
+        let over = CorrelationTime::new(Duration::from_millis(50));
+        let jitter =
+            Some(Jitter { deviation: Duration::from_millis(1), distribution, over, ..Jitter::default() });
+        let mut impairments = impairments(&Conditions { jitter, ..Conditions::default() });
+        times.map(|ms| impairments.deviate(Timestamp::from_secs_f64(ms / 1e3))).collect()
+    }
+
+    #[test]
+    fn jitter_over_time_keeps_its_distribution() {
+        const TIMES: usize = 20_000;
+        for distribution in DISTRIBUTIONS {
+            // Single packets half a second apart, with others close before them.
+            let times = (0..TIMES * 4).map(|i| 500.0 * (i / 4) as f64 + [0.0, 0.02, 3.0, 11.0][i % 4]);
+            let mut deviates: Vec<_> =
+                over_time(distribution, times).into_iter().skip(3).step_by(4).collect();
+            deviates.sort_by(f64::total_cmp);
+            let probability = |deviate: f64| match distribution {
+                JitterDistribution::Uniform => (deviate + 1.0) / 2.0,
+                JitterDistribution::Normal => libm::erfc(-deviate * FRAC_1_SQRT_2) / 2.0,
+                JitterDistribution::Pareto => 1.0 - (deviate * 0.75f64.sqrt() + 1.5).powi(-3),
+            };
+            let off = |(i, deviate): (usize, &f64)| {
+                let p = probability(*deviate);
+                (p - i as f64 / TIMES as f64).max((i + 1) as f64 / TIMES as f64 - p)
+            };
+            let distance = deviates.iter().enumerate().map(off).fold(0.0, f64::max);
+            // Kolmogorov and Smirnov's bound at 1 %.
+            let bound = 1.628 / (TIMES as f64).sqrt();
+            assert!(distance < bound, "{distribution:?}: {distance} of {bound}");
+        }
+    }
+
+    #[test]
+    fn jitter_over_time_has_its_correlation_however_many_packets_there_are() {
+        for distribution in DISTRIBUTIONS {
+            // The fourth moment of a Pareto distribution with shape 3 is infinite.
+            let tolerance = if distribution == JitterDistribution::Pareto { 0.06 } else { 0.02 };
+            for packets in [1, 10] {
+                let step = 10.0 / packets as f64;
+                let times = (0..DEVIATES * packets).map(|i| step * i as f64);
+                let series: Vec<_> = over_time(distribution, times).into_iter().step_by(packets).collect();
+                for lag in [1, 3, 5, 10] {
+                    let x = 10.0 * lag as f64 / 25.0;
+                    let expected = distribution.correlation((1.0 + x) * (-x).exp());
+                    let got = autocorrelation(&series, lag);
+                    let of = format!("{distribution:?}, {packets} packets, lag {lag}");
+                    assert!((got - expected).abs() < tolerance, "{of}: {got} for {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn packets_of_one_time_have_one_jitter() {
+        let deviates = over_time(JitterDistribution::Pareto, [7.0, 7.0, 7.0, 8.0, 7.0].into_iter());
+        assert_eq!([deviates[1], deviates[2]], [deviates[0]; 2]);
+        assert_ne!(deviates[3], deviates[0]);
+        assert_eq!(deviates[4], deviates[3], "time does not go back");
+    }
+
     #[test]
     fn changed_conditions_leave_the_correlation_as_it_is() {
         let correlation = Correlation::new(0.999_999).unwrap();
-        let jitter = |distribution| Jitter { deviation: Duration::from_millis(1), distribution, correlation };
+        let jitter = |distribution| Jitter {
+            deviation: Duration::from_millis(1),
+            distribution,
+            correlation,
+            over: None,
+        };
         let conditions =
             |distribution| Conditions { jitter: Some(jitter(distribution)), ..Conditions::default() };
         let mut impairments = impairments(&conditions(JitterDistribution::Normal));
-        let score = impairments.deviate();
+        let score = impairments.deviate(Timestamp::ZERO);
         impairments.change(&conditions(JitterDistribution::Uniform));
-        let followed = impairments.deviate();
+        let followed = impairments.deviate(Timestamp::ZERO);
         assert!((followed - libm::erf(score * FRAC_1_SQRT_2)).abs() < 0.02, "{followed} after {score}");
     }
 

@@ -308,7 +308,7 @@ impl Pipe {
                 self.overtake(sent, packet);
             }
         } else {
-            let deviate = self.impairments.deviate();
+            let deviate = self.impairments.deviate(sent);
             for packet in [Some(packet), copy].into_iter().flatten() {
                 self.line_up(sent, deviate, packet);
             }

@@ -515,6 +515,7 @@ mod tests {
             deviation: Duration::from_millis(1),
             distribution: JitterDistribution::Pareto,
             correlation: Correlation::new(-0.5).unwrap(),
+            over: None,
         };
         assert!(matches!(
             rejected(ConditionChange { jitter: Some(jitter), ..base() }),

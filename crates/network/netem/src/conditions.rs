@@ -16,7 +16,8 @@ pub enum ConditionsError {
     /// A queue that is not drop tail.
     #[error("NetEm's queue drops at its tail only: leave the discipline out, or let the fabric emulate")]
     QueueDiscipline,
-    /// A correlated jitter: NetEm's own correlation blends uniform random numbers, which narrows the distribution.
+    /// A jitter with a correlation: NetEm's own blends uniform random numbers of successive packets, which narrows the
+    /// distribution. It has none over time.
     #[error(
         "NetEm cannot correlate jitter without narrowing it: leave the correlation out, or let the fabric emulate"
     )]
@@ -53,7 +54,7 @@ impl TryFrom<&Conditions> for Netem {
         if !conditions.queue_discipline.is_drop_tail() {
             return Err(ConditionsError::QueueDiscipline);
         }
-        if conditions.jitter.is_some_and(|jitter| !jitter.correlation.is_none()) {
+        if conditions.jitter.is_some_and(|jitter| jitter.is_correlated()) {
             return Err(ConditionsError::JitterCorrelation);
         }
         let netem = Self {
@@ -81,7 +82,9 @@ impl TryFrom<&Conditions> for Netem {
 mod tests {
     use std::time::Duration;
 
-    use cotorra_graph::{BitRate, Codel, Correlation, Jitter, Probability, QueueDiscipline, Trace};
+    use cotorra_graph::{
+        BitRate, Codel, Correlation, CorrelationTime, Jitter, Probability, QueueDiscipline, Trace,
+    };
 
     use super::*;
 
@@ -111,5 +114,7 @@ mod tests {
         assert_eq!(of(jitter).unwrap().jitter.unwrap().deviation, jitter.deviation);
         let correlation = Correlation::new(0.3).unwrap();
         assert_eq!(of(Jitter { correlation, ..jitter }), Err(ConditionsError::JitterCorrelation));
+        let over = CorrelationTime::new(Duration::from_millis(50));
+        assert_eq!(of(Jitter { over, ..jitter }), Err(ConditionsError::JitterCorrelation));
     }
 }

@@ -10,6 +10,7 @@
 
 mod answer_error;
 mod battery;
+mod beat;
 mod camera;
 mod driver;
 mod exchange;

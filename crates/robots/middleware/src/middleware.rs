@@ -16,10 +16,12 @@ use cotorra_graph::{
     Timestamp, Velocity,
 };
 use cotorra_localization::{believed, planar, trajectory::Errors};
+use cotorra_numbers::Draws;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket};
 
 use crate::{
     answer_error::AnswerError,
+    beat::beat,
     driver::{CommandError, RobotDriver, slowed},
     exchange::Route,
     large::SensedData,
@@ -193,6 +195,8 @@ impl RejectedAnswers {
 /// Localization of a robot by a VNF.
 struct Localized {
     endpoint: LocalizationEndpoint,
+    /// When it takes odometry and scan next, at the interval of κ: at its clock's phase, so that robots send no scans in step.
+    next: Timestamp,
     /// Errors each time κ was built, where the truth is known.
     errors: Errors,
 }
@@ -266,7 +270,7 @@ impl RobotMiddleware {
             let runs = |service: &Service, program| service.vnfs.iter().any(|vnf| vnf.program == program);
             let navigated = of_robot().find(|service| service.navigates());
             let endpoint = walk.zip(navigated).map(|(walk, service)| {
-                ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
+                ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), &robot.clock, seed)
             });
             let navigated = endpoint.is_some() && of_robot().any(|s| runs(s, Program::Navigation));
             middleware.add(driver, endpoint);
@@ -274,24 +278,28 @@ impl RobotMiddleware {
                 managed.navigated = Some(robot.model);
             }
             if let Some(managed) = middleware.robots.get_mut(&node.id) {
-                managed.sensing = Sensing::new(&robot.sensors);
+                managed.sensing = Sensing::new(&node.id, robot, seed);
             }
             middleware.note_due(&node.id);
             if let Some(service) = of_robot().find(|service| service.localizes()) {
-                middleware.localize(node, service);
+                middleware.localize(node, service, seed);
             }
         }
         Ok(middleware)
     }
 
     /// Lets the VNF of a service localize a robot, which stands at its driver's pose.
-    fn localize(&mut self, node: &Node, service: &Service) {
+    fn localize(&mut self, node: &Node, service: &Service, seed: u64) {
         if let (NodeKind::Robot(robot), Some(managed)) = (&node.kind, self.robots.get_mut(&node.id)) {
             let SensorData { pose, odometry, .. } = managed.driver.sensors();
             let (service, id) = (service.id.clone(), node.id.clone());
+            // A scan's turns are its clock.
+            let draws = Draws::new(seed, &format!("{id}/localization/clock"));
+            let (next, _) = beat(&robot.clock, self.context_interval, draws);
             let endpoint = LocalizationEndpoint::new(service, id, robot.model, &pose, &odometry);
-            managed.localization = Some(Localized { endpoint, errors: Errors::default() });
+            managed.localization = Some(Localized { endpoint, next, errors: Errors::default() });
         }
+        self.note_due(&node.id);
     }
 
     /// Adds a robot, and replaces one with the same name.
@@ -440,10 +448,11 @@ impl RobotMiddleware {
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
             managed.read_sensors(now, &mut self.events, &mut self.data);
+            managed.observe(now, self.context_interval);
             if context_due {
                 managed.driver.advance(now);
                 managed.report_health(now, &mut self.events);
-                let localization_error_m = managed.observe(now);
+                let localization_error_m = managed.measure_error();
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: managed.attachments.clone(),
@@ -819,17 +828,31 @@ impl Managed {
     }
 
     fn localization_deadline(&self) -> Option<Timestamp> {
-        self.localization.as_ref()?.endpoint.next_deadline(self.is_quiet())
+        let Localized { endpoint, next, .. } = self.localization.as_ref()?;
+        Some(endpoint.next_deadline(self.is_quiet()).map_or(*next, |at| at.min(*next)))
     }
 
-    /// Feeds odometry and scan to localization, and compares its pose with the truth. Returns the distance of the two, if a
-    /// VNF localizes the robot and the truth is known.
-    fn observe(&mut self, now: Timestamp) -> Option<f64> {
-        let Localized { endpoint, errors } = self.localization.as_mut()?;
+    /// Feeds odometry and scan to localization when it is due.
+    fn observe(&mut self, now: Timestamp, interval: Duration) {
+        let Some(Localized { endpoint, next, .. }) = self.localization.as_mut().filter(|its| its.next <= now)
+        else {
+            return;
+        };
+        while *next <= now {
+            *next = *next + interval;
+        }
+        self.driver.advance(now);
         let odometry = self.driver.sensors().odometry;
         // Data of a robot with a fault is not trusted.
         let scan = self.driver.scan().filter(|_| self.driver.health().is_empty());
         endpoint.observe(now, &odometry, scan);
+    }
+
+    /// Compares the pose of localization with the truth. Returns the distance of the two, if a VNF localizes the robot and the
+    /// truth is known.
+    fn measure_error(&mut self) -> Option<f64> {
+        let Localized { endpoint, errors, .. } = self.localization.as_mut()?;
+        let odometry = self.driver.sensors().odometry;
         let (believed, truth) = (believed(&endpoint.pose(&odometry)), planar(&self.driver.truth()?));
         errors.push(&believed, truth);
         Some(believed.pose.distance(truth))

@@ -1,15 +1,21 @@
 //! Declared sensors of a robot: when each is due, and its readings.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{ComponentId, LargeData, Sensor, SensorId, SensorKind, SensorReading, Timestamp};
+use cotorra_graph::{
+    ComponentId, LargeData, NodeId, Robot, Sensor, SensorId, SensorKind, SensorReading, Timestamp,
+};
+
+use cotorra_numbers::Draws;
 
 use crate::{
+    beat::beat,
     driver::RobotDriver,
     large::{Captured, SensedData},
 };
 
-/// Sensors of a robot. Each is read at whole multiples of its interval; missed readings are skipped.
+/// Sensors of a robot. Each is read at whole intervals by a clock of its own, whose phase and drift are of the seed; missed
+/// readings are skipped.
 #[derive(Debug, Default)]
 pub(crate) struct Sensing(Vec<Sensed>);
 
@@ -18,6 +24,8 @@ struct Sensed {
     sensor: Sensor,
     components: Vec<ComponentId>,
     next: Timestamp,
+    /// Its interval by its clock.
+    period: Duration,
     /// Report since the last reading of a vector, with its time.
     reported: Option<(Timestamp, Vec<f64>)>,
     /// Number of readings of large data, and time of measurement of the last.
@@ -57,15 +65,22 @@ pub enum ReportError {
 }
 
 impl Sensing {
-    pub fn new(sensors: &[Sensor]) -> Self {
-        let sensed = |sensor: &Sensor| Sensed {
-            components: sensor.kind.components().into_iter().map(|(name, _)| name).collect(),
-            sensor: sensor.clone(),
-            next: Timestamp::ZERO,
-            reported: None,
-            captured: (0, None),
+    pub fn new(id: &NodeId, robot: &Robot, seed: u64) -> Self {
+        let sensed = |sensor: &Sensor| {
+            let draws = Draws::new(seed, &format!("{id}/{}/clock", sensor.id));
+            let (next, drifting) = beat(&robot.clock, sensor.interval, draws);
+            // A lidar's turns are its clock: a reading at another rate would now and then find none, or two.
+            let is_lidar = matches!(sensor.kind, SensorKind::Lidar { .. });
+            Sensed {
+                components: sensor.kind.components().into_iter().map(|(name, _)| name).collect(),
+                sensor: sensor.clone(),
+                next,
+                period: if is_lidar { sensor.interval } else { drifting },
+                reported: None,
+                captured: (0, None),
+            }
         };
-        Self(sensors.iter().map(sensed).collect())
+        Self(robot.sensors.iter().map(sensed).collect())
     }
 
     /// Returns the time of the next reading.
@@ -77,8 +92,9 @@ impl Sensing {
     pub fn read(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Vec<Read> {
         let due = self.0.iter_mut().filter(|sensed| sensed.next <= now);
         due.filter_map(|sensed| {
-            let interval = sensed.sensor.interval.as_nanos() as u64;
-            sensed.next = Timestamp::from_nanos((now.as_nanos() / interval + 1) * interval);
+            let period = sensed.period.as_nanos() as u64;
+            let periods = now.since(sensed.next).as_nanos() as u64 / period + 1;
+            sensed.next = sensed.next + Duration::from_nanos(periods * period);
             let read = sensed.measure(now, driver)?;
             let (robot, sensor) = (driver.robot().clone(), sensed.sensor.id.clone());
             match read {
@@ -158,9 +174,7 @@ impl Sensed {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
-    use cotorra_graph::{DataFormat, NodeId, Pose, PoseSource, RobotFault, SensorData, Velocity};
+    use cotorra_graph::{DataFormat, Phase, Pose, PoseSource, RobotClock, RobotFault, SensorData, Velocity};
 
     use super::*;
     use crate::{driver::CommandError, fixtures::id, lidar::Scan};
@@ -208,6 +222,15 @@ mod tests {
         Sensor { id: SensorId::new(name).unwrap(), interval: Duration::from_millis(ms), kind }
     }
 
+    /// Sensors of a robot whose clock is aligned and right.
+    fn sensing(sensors: &[Sensor]) -> Sensing {
+        Sensing::new(&id("robot1"), &robot(sensors, RobotClock { phase: Phase::Aligned, drift_ppm: 0.0 }), 1)
+    }
+
+    fn robot(sensors: &[Sensor], clock: RobotClock) -> Robot {
+        Robot { sensors: sensors.to_vec(), clock, ..cotorra_graph_testing::robot("lab") }
+    }
+
     fn at(ms: u64) -> Timestamp {
         Timestamp::from_nanos(ms * 1_000_000)
     }
@@ -219,7 +242,7 @@ mod tests {
     #[test]
     fn sensors_are_read_at_multiples_of_their_interval_without_catching_up() {
         let sensors = [sensor("a", 20, SensorKind::Odometry), sensor("b", 50, SensorKind::Odometry)];
-        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
+        let (mut sensing, mut driver) = (sensing(&sensors), Standing(id("robot1"), Vec::new(), None));
         assert_eq!(sensing.next_deadline(), Some(at(0)));
         let first = sensing.read(at(0), &mut driver);
         assert_eq!(names(&first), ["a", "b"]);
@@ -234,6 +257,63 @@ mod tests {
         assert_eq!(names(&sensing.read(at(100), &mut driver)), ["a", "b"]);
     }
 
+    /// Times of the readings of each sensor, ns, within ten seconds.
+    fn times(
+        robot_name: &str,
+        sensors: &[Sensor],
+        clock: RobotClock,
+        seed: u64,
+    ) -> BTreeMap<String, Vec<u64>> {
+        let mut sensing = Sensing::new(&id(robot_name), &robot(sensors, clock), seed);
+        let (mut driver, mut times) =
+            (Standing(id(robot_name), Vec::new(), None), BTreeMap::<_, Vec<_>>::new());
+        while let Some(now) = sensing.next_deadline().filter(|now| *now < at(10_000)) {
+            for name in names(&sensing.read(now, &mut driver)) {
+                times.entry(name.to_owned()).or_default().push(now.as_nanos());
+            }
+        }
+        times
+    }
+
+    #[test]
+    fn each_sensor_of_each_robot_has_a_phase_and_a_drift_of_its_own() {
+        let sensors = [sensor("a", 100, SensorKind::Odometry), sensor("b", 100, SensorKind::Odometry)];
+        let clock = RobotClock { drift_ppm: 1000.0, ..RobotClock::default() };
+        let (mut phases, mut periods) = (Vec::new(), Vec::new());
+        for seed in 0..200 {
+            for robot in ["robot1", "robot2"] {
+                for (name, times) in times(robot, &sensors, clock, seed) {
+                    let steps: Vec<_> = times.windows(2).map(|two| two[1] - two[0]).collect();
+                    assert!(steps.iter().all(|step| *step == steps[0]), "{name}: no reading is skipped");
+                    phases.push(times[0] as f64 / 1e8);
+                    periods.push((steps[0] as f64 / 1e8 - 1.0) * 1e3);
+                }
+            }
+        }
+        // Both are uniform: phases within the interval, drifts within the bound (Kolmogorov and Smirnov, 1 %).
+        let drifts = periods.iter().map(|drift| (drift + 1.0) / 2.0).collect();
+        for mut uniform in [phases.clone(), drifts] {
+            uniform.sort_by(f64::total_cmp);
+            let count = uniform.len() as f64;
+            let off =
+                |(i, x): (usize, &f64)| (x - i as f64 / count).abs().max((x - (i + 1) as f64 / count).abs());
+            let distance = uniform.iter().enumerate().map(off).fold(0.0, f64::max);
+            assert!(distance < 1.628 / count.sqrt(), "{distance}");
+        }
+        phases.sort_by(f64::total_cmp);
+        assert!(phases.windows(2).all(|two| two[0] < two[1]), "no two are in step");
+    }
+
+    #[test]
+    fn another_sensor_changes_no_other() {
+        let sensors = ["a", "b", "c"].map(|name| sensor(name, 20, SensorKind::Odometry));
+        let clock = RobotClock::default();
+        let (few, all) = (times("robot1", &sensors[1..2], clock, 1), times("robot1", &sensors, clock, 1));
+        assert_eq!(few["b"], all["b"]);
+        let drift = (few["b"][400] - few["b"][0]) as f64 / 8e9 - 1.0;
+        assert!(drift != 0.0 && drift.abs() <= 156e-6, "{drift}");
+    }
+
     #[test]
     fn robot_with_a_fault_is_not_read_but_reports_are_taken() {
         let vector = SensorKind::Vector { size: 1, unit: String::new() };
@@ -243,7 +323,7 @@ mod tests {
             sensor("v", 20, vector),
         ];
         let (mut sensing, mut driver) =
-            (Sensing::new(&sensors), Standing(id("robot1"), vec![RobotFault::Silent], None));
+            (sensing(&sensors), Standing(id("robot1"), vec![RobotFault::Silent], None));
         sensing.report(at(1), &sensors[2].id, &[7.0]).unwrap();
         assert_eq!(names(&sensing.read(at(20), &mut driver)), ["v"]);
         driver.1.clear();
@@ -263,7 +343,7 @@ mod tests {
             sensor("unknown", 20, battery),
             sensor("fingers", 20, vector),
         ];
-        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
+        let (mut sensing, mut driver) = (sensing(&sensors), Standing(id("robot1"), Vec::new(), None));
         let mut read = |ms, sensing: &mut Sensing| -> Vec<_> {
             let read = sensing.read(at(ms), &mut driver).into_iter();
             let values = |reading: &SensorReading| {
@@ -282,7 +362,7 @@ mod tests {
     fn lidar_is_read_once_per_turn_and_readings_are_numbered() {
         let lidar = SensorKind::Lidar { keep_bytes: 1 };
         let sensors = [sensor("front", 100, lidar.clone()), sensor("slow", 300, lidar)];
-        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
+        let (mut sensing, mut driver) = (sensing(&sensors), Standing(id("robot1"), Vec::new(), None));
         let mut read = |ms, scanned: Option<u64>, health: &[RobotFault]| -> Vec<(String, u64, Timestamp)> {
             if let Some(ms) = scanned {
                 let turn = Duration::from_millis(100);

@@ -4,7 +4,7 @@
 use std::{net::SocketAddrV4, time::Duration};
 
 use cotorra_graph::{
-    GoalEvent, GoalState, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
+    GoalEvent, GoalState, Pose, Position, RobotClock, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
 };
 use cotorra_numbers::Draws;
 use cotorra_plugin::{
@@ -14,6 +14,7 @@ use cotorra_plugin::{
 
 use crate::{
     answer_error::AnswerError,
+    beat::beat,
     exchange::{Exchange, Reply, Route, Sent},
     goal::Goal,
     nonce::Nonces,
@@ -73,16 +74,23 @@ impl ServiceEndpoint {
     /// Most position packets at once that count as missed.
     pub const MOST_MISSED: u64 = 10_000;
 
-    /// Creates an endpoint at the start of the walk, or on its way. The seed places its first packet within the first
-    /// interval, so that robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
-    pub fn new(service: ServiceId, walk: &Walk, command_timeout: Duration, seed: u64) -> Self {
+    /// Creates an endpoint at the start of the walk, or on its way. The clock's phase and drift are of the seed, so that
+    /// robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
+    pub fn new(
+        service: ServiceId,
+        walk: &Walk,
+        command_timeout: Duration,
+        clock: &RobotClock,
+        seed: u64,
+    ) -> Self {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
-        let phase = Draws::new(seed, &format!("{}/phase", walk.robot)).unit();
+        let draws = Draws::new(seed, &format!("{}/phase", walk.robot));
+        let (next_emission, interval) = beat(clock, interval, draws);
         Self {
             exchange: Exchange::new(service, walk.robot.clone(), command_timeout),
             walk_length: u32::try_from(walk.waypoints.len()).unwrap_or(u32::MAX),
             interval,
-            next_emission: Timestamp::ZERO + interval.mul_f64(phase),
+            next_emission,
             continues: false,
             waypoint: walk.next.unwrap_or(0),
             goal: None,

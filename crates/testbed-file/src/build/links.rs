@@ -3,8 +3,8 @@
 use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, Conditions, HardwareGraph, Jitter, JitterDistribution, Link, LinkId, Loss, NodeId, Probability,
-    Rate, Scale, Trace,
+    BitRate, Conditions, CorrelationTime, HardwareGraph, InvalidCorrelation, Jitter, JitterDistribution,
+    Link, LinkId, Loss, NodeId, Probability, Rate, Scale, Trace,
 };
 
 use super::builder::{Builder, each};
@@ -179,11 +179,26 @@ impl Builder<'_> {
             Either::Short(deviation) => return Jitter { deviation: *deviation, ..Jitter::default() },
             Either::Long(record) => record,
         };
-        let JitterRecord { deviation, distribution, correlation } = record;
-        let jitter =
-            Jitter { deviation: *deviation, distribution: *distribution, correlation: correlation.value };
+        let JitterRecord { deviation, distribution, correlation, over } = record;
+        let jitter = Jitter {
+            deviation: *deviation,
+            distribution: *distribution,
+            correlation: correlation.value,
+            over: over.as_ref().and_then(|over| CorrelationTime::new(over.value)),
+        };
+        if let Some(over) = over.as_ref().filter(|_| jitter.over.is_none()) {
+            self.sink
+                .error(&over.span, "a jitter changes over a time from 1 ms to 65 s")
+                .help("leave `over` out for a jitter of each packet");
+        }
         if let Err(error) = jitter.check() {
-            self.sink.error(&correlation.span, error.to_string()).help("give it another distribution");
+            let (span, help) = match (over, error) {
+                (Some(over), InvalidCorrelation::Both) => {
+                    (&over.span, "write `over: 50 ms` without `correlation`, or leave `over` out")
+                }
+                _ => (&correlation.span, "give it another distribution"),
+            };
+            self.sink.error(span, error.to_string()).help(help);
         }
         jitter
     }

@@ -5,7 +5,8 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AgentId, BackgroundScan, Capacity, DomainId, Fading, Frames, Gateway, HandoverTimes, HostAddress, Loss,
     Machine, Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached,
-    RealServer, Roaming, Robot, ScanVisits, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
+    RealServer, Roaming, Robot, RobotClock, ScanVisits, Server, Shadowing, Walls, WifiStandard,
+    WirelessNetwork,
 };
 
 use super::{
@@ -213,6 +214,7 @@ impl Builder<'_> {
                     heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
                     roaming: self.roaming(&r.roaming),
                     sensors: sensors::sensors(r, driver.as_ref(), self.sink),
+                    clock: RobotClock { phase: r.clock.phase, drift_ppm: r.clock.drift.0 },
                     driver: driver?,
                     radio: radio?,
                 };

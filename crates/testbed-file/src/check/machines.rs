@@ -127,7 +127,7 @@ fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
 
 /// A link of a real machine leads to another, from this one or from that of an agent.
 fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>, sink: &mut Sink) {
-    let is_correlated = |jitter: Option<Jitter>| jitter.is_some_and(|jitter| !jitter.correlation.is_none());
+    let is_correlated = |jitter: Option<Jitter>| jitter.is_some_and(|jitter| jitter.is_correlated());
     let is_trace = |rate: &Rate| rate.trace_name().is_some();
     for (link, place) in graph.links.iter().zip(record.link_places()) {
         let ends = link.ends.each_ref().map(|end| graph.node(end));
@@ -170,7 +170,7 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>,
                 } else if directions.iter().any(|conditions| is_correlated(conditions.jitter)) {
                     (
                         "leads over a real interface, where NetEm cannot correlate jitter without narrowing it",
-                        "leave out the `correlation` of its `jitter`",
+                        "leave out `correlation` and `over` of its `jitter`",
                     )
                 } else {
                     continue;

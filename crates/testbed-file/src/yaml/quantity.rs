@@ -30,6 +30,10 @@ pub(crate) struct Speed(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Frequency(pub f64);
 
+/// A largest error of a rate, parts per million.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Drift(pub f64);
+
 /// An angle in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Angle(pub f64);
@@ -196,6 +200,8 @@ const SPEED: Kind =
     Kind { what: "a speed", example: "0.3 m/s", units: &[("m/s", 1.0)], signed: false, most: 100.0 };
 const FREQUENCY: Kind =
     Kind { what: "a frequency", example: "10 Hz", units: &[("Hz", 1.0)], signed: false, most: 1000.0 };
+const DRIFT: Kind =
+    Kind { what: "a drift", example: "50 ppm", units: &[("ppm", 1.0), ("%", 1e4)], signed: false, most: 1e5 };
 const ANGLE: Kind = Kind {
     what: "an angle",
     example: "90 deg",
@@ -229,6 +235,7 @@ quantity!(Decibels, RATIO, |(db, _)| Self(db));
 quantity!(Metres, LENGTH, |(metres, _)| Self(metres));
 quantity!(Speed, SPEED, |(speed, _)| Self(speed));
 quantity!(Frequency, FREQUENCY, |(hertz, _)| Self(hertz));
+quantity!(Drift, DRIFT, |(ppm, _)| Self(ppm));
 quantity!(Angle, ANGLE, |(radians, _)| Self(radians));
 quantity!(Probability, SHARE, |(share, _)| Self::new(share).expect("the kind bounds it"));
 quantity!(QueueLimit, QUEUE, |(amount, unit)| {

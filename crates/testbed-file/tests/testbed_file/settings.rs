@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
-use cotorra_graph::{Protection, RadioKind, ScanVisits, Security, Testbed, WifiSoftware};
+use cotorra_graph::{Phase, Protection, RadioKind, RobotClock, ScanVisits, Security, Testbed, WifiSoftware};
 use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
@@ -163,6 +163,24 @@ fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
     let nodes = with(&["wireless.lab.access=edca", "wireless.lab.wifi=hwsim"]).unwrap().graph;
     let names: Vec<_> = nodes.nodes_with(RadioKind::Hwsim).map(|node| node.id.as_str()).collect();
     assert_eq!(names, ["robot", "R1", "R2"]);
+}
+
+#[test]
+fn robots_have_clocks_of_their_own_unless_the_file_aligns_them() {
+    let clock = |settings: &[&str]| with(settings).unwrap().graph.robots().next().unwrap().1.clock;
+    assert_eq!(clock(&[]), RobotClock { phase: Phase::Random, drift_ppm: 156.0 });
+    let aligned = ["nodes.robot.clock={ phase: aligned, drift: 0 ppm }"];
+    assert_eq!(clock(&aligned), RobotClock { phase: Phase::Aligned, drift_ppm: 0.0 });
+    assert_eq!(clock(&["nodes.robot.clock.drift=2 %"]).drift_ppm, 20_000.0);
+    assert!(with(&["nodes.robot.clock.drift=11 %"]).is_err(), "no clock is so wrong");
+}
+
+#[test]
+fn jitter_changes_over_time_or_by_packet() {
+    let jitter = |settings| with(&[settings]).unwrap().graph.links.last().unwrap().forward.jitter.unwrap();
+    assert_eq!(jitter("links.core.jitter=1 ms").over, None);
+    let over = jitter("links.core.jitter={ deviation: 1 ms, over: 50 ms }").over.unwrap();
+    assert_eq!(over.get(), Duration::from_millis(50));
 }
 
 #[test]

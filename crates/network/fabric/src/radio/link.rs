@@ -290,7 +290,7 @@ impl Lane {
         }
         let corrupted = self.impairments.corrupts(frame);
         self.meter.counters.corrupted += u64::from(corrupted && counts);
-        let deviate = if self.impairments.reorders() { None } else { Some(self.impairments.deviate()) };
+        let deviate = if self.impairments.reorders() { None } else { Some(self.impairments.deviate(start)) };
         let twice = self.impairments.duplicates();
         self.meter.counters.duplicated += u64::from(twice && counts);
         let flight = Flight { start, first: sent.first, retries: sent.retries, deviate };

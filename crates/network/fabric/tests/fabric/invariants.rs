@@ -2,8 +2,9 @@
 
 use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{
-    Codel, ConditionChange, Conditions, Correlation, Direction, FqCodel, Jitter, JitterDistribution, LinkId,
-    Loss, Pie, Probability, QueueDiscipline, QueueLimit, Rate, Red, Timestamp, Trace,
+    Codel, ConditionChange, Conditions, Correlation, CorrelationTime, Direction, FqCodel, Jitter,
+    JitterDistribution, LinkId, Loss, Pie, Probability, QueueDiscipline, QueueLimit, Rate, Red, Timestamp,
+    Trace,
 };
 use proptest::prelude::*;
 
@@ -21,12 +22,25 @@ fn probability() -> impl Strategy<Value = Probability> {
 }
 
 fn change(reordering: bool) -> impl Strategy<Value = ConditionChange> {
-    let jitter = (0u64..20_000, 0usize..3, -0.25..0.99f64).prop_map(|(us, i, correlation)| Jitter {
-        deviation: std::time::Duration::from_micros(us),
-        distribution: [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto]
-            [i],
-        correlation: Correlation::new(correlation).unwrap(),
-    });
+    let jitter =
+        (0u64..20_000, 0usize..3, -0.25..0.99f64, 0u64..40_000).prop_map(|(us, i, correlation, over)| {
+            Jitter {
+                deviation: std::time::Duration::from_micros(us),
+                distribution: [
+                    JitterDistribution::Uniform,
+                    JitterDistribution::Normal,
+                    JitterDistribution::Pareto,
+                ][i],
+                correlation: if over < 20_000 {
+                    Correlation::new(correlation).unwrap()
+                } else {
+                    Correlation::NONE
+                },
+                over: (over >= 20_000)
+                    .then(|| CorrelationTime::new(std::time::Duration::from_micros(over)))
+                    .flatten(),
+            }
+        });
     let loss = prop_oneof![
         Just(Loss::None),
         probability().prop_map(|rate| Loss::Independent { rate }),

@@ -4,8 +4,8 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_fabric::FabricError;
 use cotorra_graph::{
-    ConditionChange, Conditions, Correlation, Direction, Jitter, JitterDistribution, LinkId, Loss,
-    Probability, QueueLimit, Rate, Scale, Timestamp, Trace,
+    ConditionChange, Conditions, Correlation, CorrelationTime, Direction, Jitter, JitterDistribution, LinkId,
+    Loss, Probability, QueueLimit, Rate, Scale, Timestamp, Trace,
 };
 
 use crate::common::{A, B, Delivery, Network, context, delay, frame, ms, number, pair, rate, run};
@@ -131,6 +131,55 @@ fn jitter_keeps_order_and_its_mean() {
         let out = run(&mut fabric, ms(1e6), Timestamp::MAX);
         assert!(out.is_sorted_by_key(|d| number(&d.frame)));
     }
+}
+
+#[test]
+fn jitter_over_time_does_not_depend_on_other_packets() {
+    /// Packets of navigation, 200 ms apart.
+    const PACKETS: u32 = 5000;
+    let p95 = |over: Option<u64>, camera: bool| {
+        let over = over.map(Duration::from_millis).and_then(CorrelationTime::new);
+        let jitter = Jitter {
+            deviation: Duration::from_millis(3),
+            distribution: JitterDistribution::Pareto,
+            over,
+            ..Jitter::default()
+        };
+        let mut fabric = pair(Conditions { jitter: Some(jitter), ..delay(20) }, 5);
+        let mut took = Vec::new();
+        let mut poll = |fabric: &mut cotorra_fabric::Fabric, from, until| {
+            let navigation = run(fabric, from, until).into_iter().filter(|d| number(&d.frame) < PACKETS);
+            took.extend(navigation.map(|d| d.at.as_secs_f64() * 1e3 - 200.0 * f64::from(number(&d.frame))));
+        };
+        for i in 0..PACKETS {
+            let start = 200.0 * f64::from(i);
+            fabric.push(ms(start), A, frame(A, B, i, 60));
+            let mut now = ms(start);
+            // 15 images a second, of 25 packets that leave within 5 ms, not in step with navigation.
+            for packet in (0..75).filter(|_| camera) {
+                let at =
+                    start + f64::from(i % 66) + 66.0 * f64::from(packet / 25) + 0.2 * f64::from(packet % 25);
+                if at >= start + 200.0 {
+                    break;
+                }
+                poll(&mut fabric, now, ms(at));
+                now = ms(at);
+                fabric.push(now, A, frame(A, B, PACKETS + 1, 1400));
+            }
+            poll(&mut fabric, now, ms(start + 200.0));
+        }
+        took.sort_by(f64::total_cmp);
+        took[took.len() * 95 / 100]
+    };
+    // The quantile: 20 ms + 3 ms · (0.05^(-1/3) - 1.5) / √0.75, with a standard error of 0.2 ms.
+    let expected = 20.0 + 3.0 * (0.05f64.powf(-1.0 / 3.0) - 1.5) / 0.75f64.sqrt();
+    for camera in [false, true] {
+        let got = p95(Some(50), camera);
+        assert!((got - expected).abs() < 0.7, "camera {camera}: {got} ms, not {expected} ms");
+    }
+    // Drawn for each packet, the longest of many holds up all that follow.
+    let [alone, beside] = [false, true].map(|camera| p95(None, camera));
+    assert!((alone - expected).abs() < 0.7 && beside > expected + 3.0, "{alone} and {beside} ms");
 }
 
 #[test]

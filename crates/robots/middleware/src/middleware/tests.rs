@@ -1,6 +1,8 @@
 use std::collections::BTreeMap;
 
-use cotorra_graph::{BitRate, Pose, PoseSource, Service, ServiceId, ServiceTime, VirtualLink, Vnf, VnfId};
+use cotorra_graph::{
+    BitRate, Pose, PoseSource, RobotClock, Service, ServiceId, ServiceTime, VirtualLink, Vnf, VnfId,
+};
 use cotorra_graph_testing as base;
 
 use cotorra_plugin::{
@@ -516,6 +518,7 @@ fn speed_limit_slows_instructions_and_answers_on_the_same_curve() {
         ServiceId::new("navigation").unwrap(),
         &walk("robot1", &[(1.0, 1.0), (3.0, 1.0)]),
         ms(600),
+        &RobotClock::default(),
         1,
     );
     let mut middleware = RobotMiddleware::new(ms(100), Nonces::seeded(1));

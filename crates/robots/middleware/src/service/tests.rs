@@ -12,7 +12,13 @@ use crate::{
 
 fn endpoint(seed: u64) -> ServiceEndpoint {
     let walk = walk("robot1", &[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]);
-    ServiceEndpoint::new(ServiceId::new("navigation").unwrap(), &walk, COMMAND_TIMEOUT, seed)
+    ServiceEndpoint::new(
+        ServiceId::new("navigation").unwrap(),
+        &walk,
+        COMMAND_TIMEOUT,
+        &RobotClock { drift_ppm: 0.0, ..RobotClock::default() },
+        seed,
+    )
 }
 
 fn route() -> Route {

@@ -433,7 +433,7 @@ fn a_flow_on_the_port_of_a_service_has_the_times_of_that_service() {
         [("navigation", "600 ms", 400, 10), ("localization", "3 s", 80, 4)]
     {
         let mut simulation = Simulation::new(with_a_flow_to(name, timeout), 1).unwrap();
-        let loss = Loss::Independent { rate: Probability::new(0.05).unwrap() };
+        let loss = Loss::Independent { rate: Probability::new(0.08).unwrap() };
         let change = ConditionChange { loss: Some(loss), ..ConditionChange::default() };
         let mut samples: HashMap<String, Vec<_>> = HashMap::new();
         let mut is_lossy = false;

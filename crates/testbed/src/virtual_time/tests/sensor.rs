@@ -25,7 +25,7 @@ services:
 walks:
   robot: { waypoints: [[1, 0], [19, 0]], and_back: true }
 ";
-const SENSORS: &str = "roaming: signal, sensors: {
+const SENSORS: &str = "roaming: signal, clock: { phase: aligned, drift: 0 ppm }, sensors: {
       battery: { kind: battery, rate: 2 Hz, charge: 80 % }, imu: { kind: imu },
       wheels: { kind: odometry, rate: 20 Hz }, gripper: { kind: vector, size: 2, unit: N, rate: 4 Hz } } }";
 
