@@ -107,7 +107,7 @@ impl Radio {
         for path in paths {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);
             let reception = self.reception(now, path);
-            let received = present && self.lane(path).receives_group(&reception, bytes);
+            let received = present && self.lane(path).receives(reception.group_error_rate(bytes));
             let copy = Waiting { frame: frame.clone(), since, source, is_probe };
             self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
         }

@@ -251,19 +251,9 @@ impl Lane {
         self.impairments.loses()
     }
 
-    /// Whether an RTS is received.
-    pub(super) fn receives_rts(&mut self, reception: &Reception) -> bool {
-        self.rng.unit() >= reception.rts_error_rate()
-    }
-
-    /// Whether one attempt to send a frame succeeds.
-    pub(super) fn receives(&mut self, reception: &Reception, mode: usize, bytes: usize) -> bool {
-        self.rng.unit() >= reception.error_rate(mode, bytes)
-    }
-
-    /// Whether a group frame, which is sent once, arrives.
-    pub(super) fn receives_group(&mut self, reception: &Reception, bytes: usize) -> bool {
-        self.rng.unit() >= reception.group_error_rate(bytes)
+    /// Whether one attempt to send a frame succeeds, which fails with this probability.
+    pub(super) fn receives(&mut self, error_rate: f64) -> bool {
+        self.rng.unit() >= error_rate
     }
 
     /// Returns the airtime of a frame at the station's rate.

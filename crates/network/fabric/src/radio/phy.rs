@@ -233,6 +233,11 @@ impl Phy {
         Duration::from_micros(self.sifs_us)
     }
 
+    /// Returns the time before the first data symbol.
+    pub(super) fn preamble(&self) -> Duration {
+        Duration::from_micros(self.preamble_us)
+    }
+
     /// Returns the airtime of an acknowledgement of a frame.
     pub(super) fn ack_airtime(&self, mode: usize) -> Duration {
         Duration::from_micros(self.answer_us(&self.modes[mode], ACK_BYTES))
@@ -355,6 +360,12 @@ impl Reception {
     /// Returns the PHY rate of a mode, Mbit/s.
     pub(super) fn mbps_of(&self, mode: usize) -> f64 {
         self.phy.modes[mode].mbps()
+    }
+
+    /// Returns the probability that the header of a frame is lost: 24 bits of L-SIG, and 48 of HT-SIG or VHT-SIG-A (19.3.9, 21.3.8).
+    pub(super) fn header_error_rate(&self) -> f64 {
+        let bits = if self.phy.aggregates() { 24.0 + 48.0 } else { 24.0 };
+        -(bits * self.ln_bit_success[0]).exp_m1()
     }
 
     /// Returns the probability that an RTS is lost. It goes at the lowest basic rate.

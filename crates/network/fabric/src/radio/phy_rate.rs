@@ -182,6 +182,34 @@ impl PhyRate {
         Duration::from_micros(us + extension_us(frequency_mhz))
     }
 
+    /// Returns the time before the first data symbol.
+    pub(super) fn preamble(self) -> Duration {
+        Duration::from_micros(match self.0 {
+            Kind::Dsss { short_preamble: true, .. } => SHORT_PREAMBLE_US,
+            Kind::Dsss { .. } => LONG_PREAMBLE_US,
+            Kind::Ofdm(_) => LEGACY_PREAMBLE_US,
+            Kind::Ht(mimo) => LEGACY_PREAMBLE_US + 8 + 4 + mimo.training_us(),
+            Kind::Vht(mimo) => LEGACY_PREAMBLE_US + 8 + 4 + mimo.training_us() + 4,
+        })
+    }
+
+    /// Returns the probability that a header is lost at a signal-to-noise ratio in 20 MHz: six bytes of DSSS (16.2.2.2), 24 bits of
+    /// L-SIG, and 48 of HT-SIG or VHT-SIG-A (19.3.9, 21.3.8).
+    pub(super) fn header_error_rate(self, snr_db: f64) -> f64 {
+        let slowest = match self.0 {
+            Kind::Dsss { short_preamble, .. } => Self(Kind::Dsss { rate: Dsss::One, short_preamble }),
+            _ => Self(Kind::Ofdm(0)),
+        };
+        slowest.error_rate(
+            snr_db,
+            match self.0 {
+                Kind::Dsss { .. } => 6,
+                Kind::Ofdm(_) => 3,
+                Kind::Ht(_) | Kind::Vht(_) => 9,
+            },
+        )
+    }
+
     /// Returns the airtime of an acknowledgement of a frame.
     pub(super) fn ack_airtime(self, frequency_mhz: u16) -> Duration {
         self.answer().airtime(frequency_mhz, ACK_BYTES)

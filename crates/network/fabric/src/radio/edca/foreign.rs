@@ -8,6 +8,7 @@ use cotorra_numbers::Draws;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
+    overlap::{self, Part},
     transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try},
 };
 use crate::radio::{
@@ -369,6 +370,9 @@ impl Radio {
         let mut received = vec![false; sent.len()];
         let mut answered = None;
         let is_own = self.edca().foreign[radio].is_own;
+        let all_bytes: u64 = sent.iter().map(|frame| frame.psdu_bytes).sum();
+        let data = ended.start + rate.preamble();
+        let time_of = |bytes: u64| now.since(data).mul_f64(bytes as f64 / all_bytes.max(1) as f64);
         for to in receivers.filter(|to| *to != radio) {
             if self.edca().foreign[to].is_own != is_own {
                 continue;
@@ -377,14 +381,21 @@ impl Radio {
             if !to_all && !self.edca().foreign[to].is_on(channel) {
                 continue;
             }
+            let signal = self.signal_foreign(ended.start, ended.emitter, Emitter::Foreign(to));
+            let parts = self.parts_foreign(&ended, to, signal);
             if protects.is_some() {
-                let signal = self.receive_foreign(&ended, to, |snr_db| rate.rts_error_rate(snr_db));
+                let span = [ended.start, now];
+                let signal =
+                    self.receive_foreign(to, signal, &parts, span, |snr_db| rate.rts_error_rate(snr_db));
                 answered = signal.map(|_| to);
                 continue;
             }
+            let mut sent_bytes = 0;
             for (place, frame) in sent.iter().enumerate() {
                 let lost = |snr_db| rate.error_rate(snr_db, frame.psdu_bytes);
-                let signal = self.receive_foreign(&ended, to, lost);
+                let span = [sent_bytes, sent_bytes + frame.psdu_bytes].map(|bytes| data + time_of(bytes));
+                sent_bytes += frame.psdu_bytes;
+                let signal = self.receive_foreign(to, signal, &parts, span, lost);
                 self.land_foreign(now, [radio, to], frame, signal.map(|signal| (signal, rate)));
                 if signal.is_some() && answers {
                     received[place] = true;
@@ -486,19 +497,35 @@ impl Radio {
         self.lane(path).meter().counters.lost += 1;
     }
 
-    /// Returns the power with which a radio receives a try; `None` if it does not. `lost` is the probability of that at a
-    /// signal-to-noise ratio in dB.
-    fn receive_foreign(&mut self, sent: &OnAir, to: usize, lost: impl Fn(f64) -> f64) -> Option<Dbm> {
+    /// Returns the parts of a try with their signal-to-noise ratios at a radio, dB. The header of one that is disturbed may be lost,
+    /// and the try with it: then there is none.
+    fn parts_foreign(&mut self, sent: &OnAir, to: usize, signal: Dbm) -> Vec<Part<f64>> {
+        let span = [sent.start, sent.data_ends];
         let receiver = Emitter::Foreign(to);
-        if sent.overlaps.contains(&receiver) {
-            return None;
+        if sent.overlaps.is_empty() {
+            let noise_floor = self.networks[self.network_of(receiver)].spec.noise_floor;
+            let noise_db = 10.0 * noise_floor.milliwatts().log10();
+            return vec![Part { span, quality: Some(signal.0 - noise_db) }];
         }
-        let signal = self.signal_foreign(sent.start, sent.emitter, receiver);
-        let noise_floor = self.networks[self.network_of(receiver)].spec.noise_floor;
-        let disturbing: f64 =
-            sent.overlaps.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
-        let noise_db = 10.0 * (noise_floor.milliwatts() + disturbing).log10();
-        let lost = lost(signal.0 - noise_db);
+        let Load::Foreign(Try { rate, .. }) = sent.load else { return Vec::new() };
+        let parts = self.ratios(sent, receiver, signal);
+        let header = [sent.start, (sent.start + rate.preamble()).min(sent.data_ends)];
+        let lost = overlap::error_rate(&parts, header, |snr_db| rate.header_error_rate(*snr_db));
+        let received = self.edca().foreign[to].rng.unit() >= lost;
+        if received { parts } else { vec![Part { span, quality: None }] }
+    }
+
+    /// Returns the power with which a radio receives what was sent in a span of a try; `None` if it does not. `lost` is the
+    /// probability of that at a signal-to-noise ratio in dB.
+    fn receive_foreign(
+        &mut self,
+        to: usize,
+        signal: Dbm,
+        parts: &[Part<f64>],
+        span: [Timestamp; 2],
+        lost: impl Fn(f64) -> f64,
+    ) -> Option<Dbm> {
+        let lost = overlap::error_rate(parts, span, |snr_db| lost(*snr_db));
         (self.edca().foreign[to].rng.unit() >= lost).then_some(signal)
     }
 

@@ -5,14 +5,17 @@
 //! - [`backoff`] is the contention of one access category; [`category`] has their parameters.
 //! - [`mod@stream`] has the frames of one category for one receiver, with retries, aggregation and the receiver's order.
 //! - [`emitter`] is what is known of whoever sends; [`interference`] is what other networks and other devices send.
+//! - [`overlap`] is what frames that overlap do to each other; [`beacon`] takes the airtime of beacons.
 //! - [`power_save`] lets stations sleep between beacons.
 //! - [`transmission`] puts frames on the air and decides who gets them.
 
 mod backoff;
+mod beacon;
 pub(super) mod category;
 mod emitter;
 mod foreign;
 mod interference;
+mod overlap;
 mod power_save;
 mod stream;
 mod transmission;
@@ -27,6 +30,7 @@ pub(super) use self::interference::Interference;
 
 use self::{
     backoff::Backoff,
+    beacon::Beacons,
     category::CATEGORIES,
     foreign::Foreign,
     power_save::Sleep,
@@ -128,7 +132,8 @@ struct Unit {
     group: [Stream; 4],
     /// Flows of each category in turn: the last served is behind all others.
     turns: [VecDeque<Flow>; 4],
-    /// Its next beacon, if it keeps frames for stations that sleep.
+    beacons: Beacons,
+    /// Its next beacon that wakes stations, if it keeps frames for some that sleep.
     beacon: Option<Timestamp>,
     /// Whether group frames are sent, after a DTIM, though stations sleep.
     delivers_groups: bool,
@@ -162,6 +167,7 @@ impl Edca {
                 present: Vec::new(),
                 group: Default::default(),
                 turns: std::array::from_fn(|_| VecDeque::from([Flow::Group(index)])),
+                beacons: Beacons::new(seed, index, sifs),
                 beacon: None,
                 delivers_groups: false,
             })
@@ -270,8 +276,8 @@ impl Edca {
         let sends = members.iter().filter_map(|member| match member {
             Emitter::Robot(station) => self.peers[*station].node.next_access(),
             Emitter::Unit(unit) => {
-                let Unit { node, beacon, .. } = &self.units[*unit];
-                node.next_access().into_iter().chain(*beacon).min()
+                let Unit { node, beacons, beacon, .. } = &self.units[*unit];
+                node.next_access().into_iter().chain(*beacon).chain([beacons.deadline()]).min()
             }
             Emitter::Interference(source) => Some(self.interference[*source].deadline()),
             Emitter::Foreign(radio) => foreign(&self.foreign[*radio]),
@@ -320,7 +326,7 @@ impl Edca {
         }
     }
 
-    /// Returns whose backoffs are over, with what they send. Where more than one category of a sender is due, the most urgent
+    /// Returns whose backoffs are over, with what they send: a radio unit its beacon first. Where more than one category of a sender is due, the most urgent
     /// sends, and the others back off as after a collision (10.23.2.4).
     fn senders(&mut self, channel: usize, now: Timestamp) -> Vec<Sender> {
         let mut senders = Vec::new();
@@ -330,7 +336,13 @@ impl Edca {
                 senders.extend(airtime.map(|airtime| Sender::Interference { emitter, airtime }));
                 continue;
             }
-            let mut sends = false;
+            let mut sends = match emitter {
+                Emitter::Unit(unit) if self.units[unit].beacons.sends(now) => {
+                    senders.push(Sender::Beacon(unit));
+                    true
+                }
+                _ => false,
+            };
             for category in 0..CATEGORIES.len() {
                 let flow = self.next_flow(now, emitter, category);
                 let Some(node) = self.node(emitter) else { continue };
@@ -374,7 +386,10 @@ impl Edca {
     fn pause(&mut self, listener: Emitter, now: Timestamp, until: Timestamp) {
         match listener {
             Emitter::Robot(station) => self.peers[station].node.pause(now, until),
-            Emitter::Unit(unit) => self.units[unit].node.pause(now, until),
+            Emitter::Unit(unit) => {
+                self.units[unit].node.pause(now, until);
+                self.units[unit].beacons.pause(now, until);
+            }
             Emitter::Interference(source) => self.interference[source].pause(now, until),
             Emitter::Foreign(radio) => self.foreign[radio].node.pause(now, until),
         }

@@ -6,6 +6,7 @@ use cotorra_graph::{Dbm, Timestamp};
 
 use super::{
     Edca, Emitter,
+    overlap::{self, Overlap},
     stream::{Batch, Settled},
 };
 use crate::{
@@ -27,8 +28,8 @@ const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
 /// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
 pub(super) const AGGREGATED_FRAMES: usize = 64;
-/// Airtime of an A-MPDU, at most, as Linux's drivers limit it.
-pub(super) const LONGEST_AGGREGATE: Duration = Duration::from_millis(4);
+/// Airtime of an A-MPDU, at most: aPPDUMaxTime, and what the length in L-SIG can say (IEEE 802.11-2020, table 21-28, 19.3.9.3.5).
+pub(super) const LONGEST_AGGREGATE: Duration = Duration::from_micros(5484);
 
 /// A transmission, from its start to the end of its acknowledgement.
 #[derive(Debug)]
@@ -38,8 +39,8 @@ pub(super) struct OnAir {
     pub(super) data_ends: Timestamp,
     /// End of the acknowledgement, or of the time in which it would have come.
     pub(super) ends: Timestamp,
-    /// Others whose data overlapped with this data.
-    pub(super) overlaps: Vec<Emitter>,
+    /// Others on the air during its data.
+    pub(super) overlaps: Vec<Overlap>,
     pub(super) load: Load,
 }
 
@@ -61,6 +62,7 @@ pub(super) struct Try {
 #[derive(Debug)]
 pub(super) enum Load {
     Interference,
+    Beacon,
     Frames(Content),
     Foreign(Try),
 }
@@ -70,6 +72,8 @@ pub(super) enum Load {
 pub(super) struct Content {
     flow: Flow,
     category: usize,
+    /// Bytes of its frames.
+    bytes: usize,
     /// Changes of the flow's receiver before it.
     epoch: u32,
     attempt: Attempt,
@@ -92,7 +96,15 @@ pub(super) struct Protected {
 pub(super) enum Sender {
     Station { emitter: Emitter, category: usize, flow: Flow },
     Interference { emitter: Emitter, airtime: Duration },
+    Beacon(RadioUnitIndex),
     Foreign { radio: usize, category: usize },
+}
+
+impl OnAir {
+    /// Creates a transmission that nobody answers.
+    fn unanswered(emitter: Emitter, [start, ends]: [Timestamp; 2], load: Load) -> Self {
+        Self { emitter, start, data_ends: ends, ends, overlaps: Vec::new(), load }
+    }
 }
 
 impl Edca {
@@ -108,8 +120,9 @@ impl Edca {
         let channel = &mut self.channels[channel];
         let at_once = |other: &&mut OnAir| other.data_ends > new.start && other.start < new.data_ends;
         for other in channel.on_air.iter_mut().filter(at_once) {
-            other.overlaps.push(new.emitter);
-            new.overlaps.push(other.emitter);
+            let span = [new.start.max(other.start), new.data_ends.min(other.data_ends)];
+            other.overlaps.push(Overlap { emitter: new.emitter, span, began: new.start });
+            new.overlaps.push(Overlap { emitter: other.emitter, span, began: other.start });
         }
         let counted = new.start.max(channel.busy_until);
         channel.busy.add(new.start, new.ends.since(counted));
@@ -125,7 +138,11 @@ impl Radio {
             self.end_transmission(channel, ended);
         }
         self.edca().send_beacons(channel, now);
-        let senders = self.edca().senders(channel, now);
+        let mut senders = self.edca().senders(channel, now);
+        senders.retain(|sender| match sender {
+            Sender::Beacon(unit) => self.units[*unit].serves.is_some(),
+            _ => true,
+        });
         let beginning: Vec<_> = senders.into_iter().map(|sender| self.compose(now, sender)).collect();
         for new in beginning {
             self.pause_listeners(channel, new.emitter, [new.start, new.ends]);
@@ -143,15 +160,11 @@ impl Radio {
     fn compose(&mut self, now: Timestamp, sender: Sender) -> OnAir {
         let (emitter, category, flow) = match sender {
             Sender::Interference { emitter, airtime } => {
-                let ends = now + airtime;
-                return OnAir {
-                    emitter,
-                    start: now,
-                    data_ends: ends,
-                    ends,
-                    overlaps: Vec::new(),
-                    load: Load::Interference,
-                };
+                return OnAir::unanswered(emitter, [now, now + airtime], Load::Interference);
+            }
+            Sender::Beacon(unit) => {
+                let airtime = self.beacon_airtime(unit);
+                return OnAir::unanswered(Emitter::Unit(unit), [now, now + airtime], Load::Beacon);
             }
             Sender::Foreign { radio, category } => return self.compose_foreign(now, radio, category),
             Sender::Station { emitter, category, flow } => (emitter, category, flow),
@@ -175,6 +188,7 @@ impl Radio {
         let mut content = Content {
             flow,
             category,
+            bytes: lengths.iter().sum(),
             epoch: edca.stream(flow, category).epoch(),
             attempt,
             until: edca.begin_opportunity(now, emitter, category),
@@ -216,6 +230,7 @@ impl Radio {
             Load::Interference => {
                 return self.edca().end_interference(ended.emitter, ended.overlaps.is_empty());
             }
+            Load::Beacon => return,
             Load::Foreign(_) => return self.end_foreign(channel, ended),
             Load::Frames(content) => content,
         };
@@ -230,8 +245,9 @@ impl Radio {
 
     /// Whether the receiver answers an RTS.
     fn clears(&mut self, rts: &OnAir, path: Path) -> bool {
-        let reception = self.reception_among(rts.start, path, &rts.overlaps);
-        reception.is_some_and(|reception| self.lane(path).receives_rts(&reception))
+        let parts = self.parts_of(rts, path);
+        let lost = overlap::error_rate(&parts, [rts.start, rts.data_ends], Reception::rts_error_rate);
+        self.lane(path).receives(lost)
     }
 
     /// Sends the data after RTS and CTS. Everyone who hears either end waits.
@@ -252,26 +268,32 @@ impl Radio {
                 attempt.protects = None;
                 Load::Foreign(attempt)
             }
-            Load::Interference => Load::Interference,
+            load @ (Load::Interference | Load::Beacon) => load,
         };
         let data = OnAir { start, data_ends, ends, overlaps: Vec::new(), load, ..rts };
         self.edca().put_on_air(channel, data);
     }
 
     fn end_unicast(&mut self, channel: usize, ended: &OnAir, content: &Content, path: Path) {
-        let &Content { flow, category, epoch, attempt, until, protects } = content;
+        let &Content { flow, category, bytes: all_bytes, epoch, attempt, until, protects } = content;
         let now = ended.data_ends;
         if self.edca().stream(flow, category).epoch() != epoch {
             // The station has left its channel.
             return self.edca().end_exchange(now, ended.emitter, category, false);
         }
-        let reception = self.reception_among(ended.start, path, &ended.overlaps);
+        let parts = self.parts_of(ended, path);
+        let data = ended.start + self.phy_of(ended.emitter).preamble();
+        let time_of = |bytes: usize| now.since(data).mul_f64(bytes as f64 / all_bytes as f64);
         let mut edca = self.edca.take().expect("a network with contention");
         let lane = self.lane(path);
-        // Without CTS, the data is not sent.
-        let reception = reception.filter(|_| protects.is_none());
+        let mut sent_bytes = 0;
         let outcome = edca.stream(flow, category).conclude([ended.start, now], attempt.most, |bytes| {
-            reception.is_some_and(|reception| lane.receives(&reception, attempt.mode, bytes))
+            let span = [sent_bytes, sent_bytes + bytes].map(|bytes| data + time_of(bytes));
+            sent_bytes += bytes;
+            let lost =
+                overlap::error_rate(&parts, span, |reception| reception.error_rate(attempt.mode, bytes));
+            // Without CTS, the data is not sent.
+            protects.is_none() && lane.receives(lost)
         });
         lane.rates().record(now, outcome.sent, outcome.received);
         let settled: Vec<_> = std::iter::from_fn(|| edca.stream(flow, category).settle()).collect();
@@ -308,10 +330,13 @@ impl Radio {
         let Waiting { frame, since, source, is_probe } = waiting;
         for path in self.group(unit, source).collect::<Vec<_>>() {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);
-            let reception = self.reception_among(ended.start, path, &ended.overlaps).filter(|_| present);
             let bytes = frame.bytes().len();
-            let received =
-                reception.is_some_and(|reception| self.lane(path).receives_group(&reception, bytes));
+            let received = present && {
+                let parts = self.parts_of(ended, path);
+                let span = [ended.start, now];
+                let lost = overlap::error_rate(&parts, span, |part| part.group_error_rate(bytes));
+                self.lane(path).receives(lost)
+            };
             let copy = Waiting { frame: frame.clone(), since, source, is_probe };
             self.fly(began, path, copy, &Exchange { first, retries: Duration::ZERO, received });
         }
@@ -324,26 +349,6 @@ impl Radio {
             let retries = now.since(began + first);
             self.fly(began, path, waiting, &Exchange { first, retries, received });
         }
-    }
-
-    /// Returns the reception on a path while others send: their power adds to the noise (capture: the stronger frame is
-    /// decoded, whichever began first). `None` if the receiver itself sends.
-    fn reception_among(&mut self, start: Timestamp, path: Path, others: &[Emitter]) -> Option<Reception> {
-        let receiver = path.receiver();
-        if others.is_empty() {
-            return Some(self.reception(start, path));
-        }
-        if others.contains(&receiver) {
-            return None;
-        }
-        let place = self.robots[path.robot].position;
-        let moment = self.link(path.robot, path.unit).moment(start, place);
-        let fading_db = self.fading_db(path, moment);
-        let signal = self.signals(path.robot, path.unit)[path.direction as usize];
-        let network = &self.networks[self.units[path.unit].network];
-        let disturbing: f64 = others.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
-        let noise_db = 10.0 * (network.spec.noise_floor.milliwatts() + disturbing).log10();
-        Some(Reception::new(network.phy, signal.0 + fading_db - noise_db))
     }
 
     /// Stops the backoffs of an emitter, and of everyone on the channel who hears it.

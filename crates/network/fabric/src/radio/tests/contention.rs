@@ -112,6 +112,38 @@ fn hidden_nodes_lose_throughput_and_frames() {
 }
 
 #[test]
+fn hidden_nodes_destroy_only_the_frames_of_an_aggregate_that_they_overlap_with() {
+    let ht = WirelessNetwork {
+        standard: WifiStandard::N,
+        access: Edca { aggregation: true, rate_control: RateControl::Ideal, power_save: None }.into(),
+        ..contending()
+    };
+    let frames = |places: [f64; 2]| saturate(&mut stations(ht.clone(), &places), 2, 1000, at(200));
+    let (visible, hidden) = (frames([80.0, 80.0]), frames([80.0, -80.0]));
+    println!("{visible} frames where stations hear each other, {hidden} where not");
+    assert!(hidden > visible / 4, "{hidden} of {visible}");
+}
+
+#[test]
+fn beacons_take_airtime_and_delay_frames() {
+    let network = WirelessNetwork { standard: WifiStandard::G, ..contending() };
+    let nodes = vec![unit("R", 0.0, 1), robot("r0", 5.0, Roaming::Instructed)];
+    let mut world = World::new(network, nodes);
+    (0..2000).for_each(|i| world.up(at(10 * i), "r0", 100));
+    world.run(at(20_000));
+    // 250 bytes at 1 Mbit/s take 192 + 2000 µs, each 102.4 ms.
+    let load = world.radio.contexts(at(20_000))[0].load.unwrap();
+    let beacons = 2.192 / 102.4;
+    assert!((load - beacons - 0.01).abs() < 0.005, "{load}");
+    let mut delays: Vec<_> =
+        world.arrivals_us().iter().zip(0..).map(|(due, i)| due - 10_000.0 * f64::from(i)).collect();
+    delays.sort_by(f64::total_cmp);
+    let delayed = delays.iter().filter(|delay| **delay > 100.0).count() as f64 / 2000.0;
+    assert!((delayed / beacons - 1.0).abs() < 0.2, "{delayed}");
+    assert!((1000.0..2400.0).contains(&delays[1990]), "{}", delays[1990]);
+}
+
+#[test]
 fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let ht = |aggregation| WirelessNetwork {
         standard: WifiStandard::N,
@@ -121,12 +153,12 @@ fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let rate = |aggregation, until: u64| {
         let mut world = stations(ht(aggregation), &[5.0]);
         let frames = saturate(&mut world, 1, 1514, at(until));
-        frames as f64 * 1514.0 * 8.0 / (until as f64 * 1e3)
+        frames as f64 * 1514.0 * 8.0 / world.arrivals_us()[frames as usize - 1]
     };
-    let [single, aggregated] = [(false, 300), (true, 200)].map(|(on, until)| rate(on, until));
-    // At 65 Mbit/s, a subframe has 1556 bytes. 20 of them take 36 + 4·958 + 6 µs within 4 ms. With SIFS, a block
-    // acknowledgement of 38 µs, AIFS and 7.5 slots on average, that is 4.0 ms.
-    let model = 20.0 * 1514.0 * 8.0 / (36.0 + 4.0 * 958.0 + 6.0 + 10.0 + 38.0 + 37.0 + 67.5);
+    let [single, aggregated] = [(false, 300), (true, 130)].map(|(on, until)| rate(on, until));
+    // At 65 Mbit/s, a subframe has 1556 bytes. 28 of them take 36 + 4·1341 + 6 µs within 5.484 ms. With SIFS, a block
+    // acknowledgement of 38 µs, AIFS and 7.5 slots on average, that is 5.6 ms.
+    let model = 28.0 * 1514.0 * 8.0 / (36.0 + 4.0 * 1341.0 + 6.0 + 10.0 + 38.0 + 37.0 + 67.5);
     assert!((aggregated / model - 1.0).abs() < 0.02, "{aggregated:.1} Mbit/s, not {model:.1}");
     // A frame by itself takes 36 + 4·48 + 6 µs, and an acknowledgement 34 µs.
     let model = 1514.0 * 8.0 / (36.0 + 4.0 * 48.0 + 6.0 + 10.0 + 34.0 + 37.0 + 67.5);
