@@ -49,7 +49,7 @@ const NO_QUANTITIES: [&str; 14] = [
 ];
 
 /// Units by the suffix of a name.
-const UNITS: [(&str, &str); 11] = [
+const UNITS: [(&str, &str); 12] = [
     ("_mhz", "MHz"),
     ("_ns", "ns"),
     ("_ms", "ms"),
