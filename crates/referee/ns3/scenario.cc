@@ -347,36 +347,62 @@ StandardOf(const std::string& name)
     return standards.at(name);
 }
 
+/// Loss over distance: `reference_db` of the sender's network at 1 m, and 10 n dB more for each tenfold distance beyond it.
+class Loss : public PropagationLossModel
+{
+  public:
+    void Add(Ptr<MobilityModel> place, const Json& network)
+    {
+        m_networks[place] = {network["reference_db"].Number(), network["exponent"].Number()};
+    }
+
+  private:
+    double DoCalcRxPower(double txPowerDbm, Ptr<MobilityModel> from, Ptr<MobilityModel> to) const override
+    {
+        const auto& [reference, exponent] = m_networks.at(from);
+        const double metres = std::max(from->GetDistanceFrom(to), NEAREST);
+        // Nearer than 1 m, as in free space.
+        const double decade = metres < 1 ? 20 : 10 * exponent;
+        return txPowerDbm - reference - decade * std::log10(metres);
+    }
+
+    int64_t DoAssignStreams(int64_t) override { return 0; }
+
+    static constexpr double NEAREST = 0.1;
+
+    std::map<Ptr<MobilityModel>, std::pair<double, double>> m_networks;
+};
+
+/// What all networks share: their radios hear each other on the same channel number.
+struct Air
+{
+    Ptr<Loss> loss = CreateObject<Loss>();
+    Ptr<YansWifiChannel> channel = CreateObject<YansWifiChannel>();
+
+    Air()
+    {
+        channel->SetPropagationLossModel(loss);
+        channel->SetPropagationDelayModel(CreateObject<ConstantSpeedPropagationDelayModel>());
+    }
+};
+
 /// A wireless network: what its radios have in common.
 class Network
 {
   public:
-    /// Joins the air of networks with the same loss over distance: they share its channels.
-    Network(const Json& spec, std::map<std::pair<double, double>, Ptr<YansWifiChannel>>& air)
-        : m_spec(spec)
+    Network(const Json& spec, const Air& air)
+        : m_spec(spec),
+          m_air(air)
     {
-        Ptr<YansWifiChannel>& channel = air[{spec["exponent"].Number(), spec["reference_db"].Number()}];
-        if (channel)
-        {
-            m_channel = channel;
-            return;
-        }
-        // Loss over distance: `reference_db` at 1 m, and 10 n dB more for each tenfold distance.
-        Ptr<LogDistancePropagationLossModel> loss = CreateObject<LogDistancePropagationLossModel>();
-        loss->SetPathLossExponent(spec["exponent"].Number());
-        loss->SetReference(1.0, spec["reference_db"].Number());
-        m_channel = CreateObject<YansWifiChannel>();
-        m_channel->SetPropagationLossModel(loss);
-        m_channel->SetPropagationDelayModel(CreateObject<ConstantSpeedPropagationDelayModel>());
-        channel = m_channel;
     }
 
     /// Makes the radio of a node on a channel of this network. `isUnit` says whether it is a radio unit.
     Ptr<NetDevice> Install(Ptr<Node> node, const Json& unit, double txPowerDbm, bool isUnit) const
     {
+        m_air.loss->Add(node->GetObject<MobilityModel>(), m_spec);
         const std::string standard = m_spec["standard"].Text();
         YansWifiPhyHelper phy;
-        phy.SetChannel(m_channel);
+        phy.SetChannel(m_air.channel);
         phy.SetErrorRateModel("ns3::NistErrorRateModel");
         std::ostringstream settings;
         settings << "{" << unit["channel"].Number() << ", " << m_spec["width_mhz"].Number() << ", "
@@ -431,7 +457,7 @@ class Network
 
   private:
     const Json& m_spec;
-    Ptr<YansWifiChannel> m_channel;
+    const Air& m_air;
 };
 
 // --------------------------------------------------------------------------------------------------------------- Wires
@@ -533,7 +559,7 @@ Run(const std::string& path, uint32_t seed)
     }
 
     // The air.
-    std::map<std::pair<double, double>, Ptr<YansWifiChannel>> air;
+    const Air air;
     std::map<std::string, std::unique_ptr<Network>> networks;
     for (const Json& spec : scenario["networks"].Items())
     {

@@ -22,14 +22,8 @@ pub struct Plain {
 pub fn plain(mut testbed: Testbed) -> Plain {
     let mut lines = Lines::default();
     let HardwareGraph { wireless, links, .. } = &mut testbed.graph;
-    for (name, network) in wireless.iter_mut() {
+    for (name, network) in wireless {
         plain_network(name, network, &mut lines);
-    }
-    if wireless
-        .values()
-        .any(|network| network.path_loss != wireless.values().next().unwrap_or(network).path_loss)
-    {
-        lines.unlike("networks with another path loss do not hear each other in ns-3".to_owned());
     }
     for link in links {
         let conditions = plain_wire(&link.forward);
