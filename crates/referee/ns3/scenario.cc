@@ -58,6 +58,7 @@ class Json
     }
 
     const std::vector<Json>& Items() const { return m_items; }
+    const std::map<std::string, Json>& Fields() const { return m_fields; }
     double Number() const { return m_number; }
     bool Flag() const { return m_number != 0; }
     const std::string& Text() const { return m_text; }
@@ -474,7 +475,11 @@ SetQueue(Ptr<NetDevice> device, const Json& queue)
     limit << static_cast<uint64_t>(queue["limit"].Number()) << (queue["in_bytes"].Flag() ? "B" : "p");
     TrafficControlHelper control;
     control.SetRootQueueDisc(disciplines.at(queue["discipline"].Text()), "MaxSize", StringValue(limit.str()));
-    control.Install(device);
+    Ptr<QueueDisc> installed = control.Install(device).Get(0);
+    for (const auto& [name, value] : queue["attributes"].Fields())
+    {
+        installed->SetAttribute(name, StringValue(value.Text()));
+    }
 }
 
 /// Both ends of a wire.

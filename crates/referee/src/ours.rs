@@ -8,8 +8,9 @@ use std::{
 
 use cotorra_fabric::sensitivity;
 use cotorra_graph::{
-    Conditions, Direction, Event, Link, NodeId, NodeKind, QueueDiscipline, QueueLimit, Rate, SensorKind,
-    Service, ServiceTime, Stamped, Testbed, Timestamp, WifiStandard, WirelessNetwork,
+    Codel, Conditions, Direction, Event, Link, NodeId, NodeKind, Pie, QueueDiscipline, QueueLimit, Rate, Red,
+    RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed, Timestamp, WifiStandard,
+    WirelessNetwork,
 };
 use cotorra_testbed::{Altered, RunError, Unrecorded, simulate_unrecorded};
 
@@ -385,7 +386,45 @@ fn wire(link: &Link) -> Wire {
             },
             limit,
             in_bytes,
+            attributes: attributes(*queue_discipline),
         },
+    }
+}
+
+/// Returns the parameters of a queue discipline, as ns-3 names and writes them.
+fn attributes(discipline: QueueDiscipline) -> BTreeMap<&'static str, String> {
+    let ns = |time: Duration| format!("{}ns", time.as_nanos());
+    let codel = |Codel { target, interval, ecn }| {
+        [("Target", ns(target)), ("Interval", ns(interval)), ("UseEcn", ecn.to_string())]
+    };
+    match discipline {
+        QueueDiscipline::DropTail => BTreeMap::new(),
+        QueueDiscipline::Codel(parameters) => codel(parameters).into(),
+        QueueDiscipline::FqCodel(parameters) => {
+            codel(parameters.codel()).into_iter().chain([("Flows", parameters.flows.to_string())]).collect()
+        }
+        QueueDiscipline::Pie(Pie { target, update, burst, ecn }) => [
+            ("QueueDelayReference", ns(target)),
+            ("Tupdate", ns(update)),
+            ("MaxBurstAllowance", ns(burst)),
+            ("UseEcn", ecn.to_string()),
+        ]
+        .into(),
+        QueueDiscipline::Red(Red { thresholds, probability, weight, ecn }) => {
+            let (min, max) = match thresholds {
+                RedThresholds::Packets { min, max } => (u64::from(min), u64::from(max)),
+                RedThresholds::Bytes { min, max } => (min, max),
+            };
+            [
+                ("MinTh", min.to_string()),
+                ("MaxTh", max.to_string()),
+                // ns-3 has the inverse of max_p.
+                ("LInterm", (1.0 / probability.get()).to_string()),
+                ("QW", weight.get().to_string()),
+                ("UseEcn", ecn.to_string()),
+            ]
+            .into()
+        }
     }
 }
 
@@ -455,5 +494,15 @@ mod tests {
         let answer = PosePacket { sequence: 1, emitted: Timestamp::ZERO, nonce: 1, pose };
         assert_eq!(bytes(|buffer| answer.encode(buffer)), POSE);
         assert_eq!((FRAGMENT, BEFORE_FRAGMENT), (wire::FRAGMENT as u32, HEADER_LEN as u32 + 1));
+    }
+
+    #[test]
+    fn ns3_gets_the_parameters_of_queues() {
+        let codel = Codel { target: Duration::from_millis(20), ..Default::default() };
+        let given = attributes(QueueDiscipline::Codel(codel));
+        assert_eq!((&*given["Target"], &*given["Interval"]), ("20000000ns", "100000000ns"));
+        let red = attributes(QueueDiscipline::Red(Red::default()));
+        assert_eq!((&*red["LInterm"], &*red["MaxTh"]), ("50", "15"));
+        assert!(attributes(QueueDiscipline::DropTail).is_empty());
     }
 }

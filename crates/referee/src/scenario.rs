@@ -1,5 +1,7 @@
 //! What ns-3 is to run, as JSON. Units are those of the SI.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 /// Time that ns-3's stations have to associate before the run begins, s.
@@ -73,6 +75,8 @@ pub(crate) struct Queue {
     pub(crate) discipline: &'static str,
     pub(crate) limit: u64,
     pub(crate) in_bytes: bool,
+    /// Parameters of the discipline, as ns-3 names and writes them.
+    pub(crate) attributes: BTreeMap<&'static str, String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
