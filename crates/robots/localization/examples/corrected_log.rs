@@ -178,6 +178,8 @@ impl Problem {
 #[derive(Default)]
 struct Outcome {
     positions: Vec<f64>,
+    /// Reported deviations, √(var x + var y), in the same order.
+    deviations: Vec<f64>,
     squares: f64,
     inside: usize,
     nees: f64,
@@ -189,14 +191,15 @@ struct Outcome {
 }
 
 const HEAD: &str = "\
-| log | scans × seeds | median | RMSE | inside 95 % | NEES | kidnapped | claims < 0.3 m | recovery median | max |
-|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|";
+| log | scans × seeds | median | RMSE | inside 95 % | NEES | rank | kidnapped | claims < 0.3 m | recovery median | max |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|";
 
 impl Outcome {
     fn followed(&mut self, belief: &Belief, truth: Pose2) {
         let error = belief.pose.distance(truth);
         let nees = belief.nees(truth).unwrap_or(f64::INFINITY);
         self.positions.push(error);
+        self.deviations.push(deviation(belief));
         self.squares += error * error;
         self.inside += usize::from(nees <= INSIDE);
         self.nees += nees;
@@ -208,12 +211,13 @@ impl Outcome {
         self.recovery.push(trial.get(found).map_or(f64::INFINITY, |(gone, ..)| *gone));
         for (_, belief, _) in trial[..found].iter().filter(|scan| off(scan) >= RECOVERED) {
             self.lost += 1;
-            self.claimed += usize::from((belief.covariance[0] + belief.covariance[4]).sqrt() < WIDE);
+            self.claimed += usize::from(deviation(belief) < WIDE);
         }
     }
 
     fn add(&mut self, other: Self) {
         self.positions.extend(other.positions);
+        self.deviations.extend(other.deviations);
         self.squares += other.squares;
         self.inside += other.inside;
         self.nees += other.nees;
@@ -221,6 +225,29 @@ impl Outcome {
         self.claimed += other.claimed;
         self.recovery.extend(other.recovery);
     }
+}
+
+/// Returns the reported deviation of the position, metres.
+fn deviation(belief: &Belief) -> f64 {
+    (belief.covariance[0] + belief.covariance[4]).sqrt()
+}
+
+/// Returns Spearman's rank correlation, i.e. the correlation of the ranks. Equal values share the mean of their ranks.
+fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
+    let middle = (a.len() as f64 - 1.0) / 2.0;
+    let ranks = |values: &[f64]| {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let rank = |value: &f64| {
+            let below = sorted.partition_point(|other| other < value);
+            let upto = sorted.partition_point(|other| other <= value);
+            (below + upto - 1) as f64 / 2.0 - middle
+        };
+        values.iter().map(rank).collect::<Vec<f64>>()
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let sum = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    sum(&a, &b) / (sum(&a, &a) * sum(&b, &b)).sqrt()
 }
 
 /// Formats a row of the table, without its ends.
@@ -235,6 +262,7 @@ impl fmt::Display for Outcome {
         write!(f, "{} | {:.3} m | ", self.positions.len(), median(&self.positions))?;
         write!(f, "{:.3} m | ", (self.squares / count).sqrt())?;
         write!(f, "{:.1} % | {:.1} | ", 100.0 * self.inside as f64 / count, self.nees / count)?;
+        write!(f, "{:.2} | ", rank_correlation(&self.deviations, &self.positions))?;
         let claimed = 100.0 * self.claimed as f64 / (self.lost as f64).max(1.0);
         let farthest = self.recovery.iter().copied().fold(0.0, f64::max);
         write!(f, "{} | {claimed:.1} % of {} | ", self.recovery.len(), self.lost)?;
