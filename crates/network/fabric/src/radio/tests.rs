@@ -65,7 +65,10 @@ impl World {
     }
 
     fn seeded(network: WirelessNetwork, nodes: Vec<Node>, seed: u64) -> Self {
-        let other = WirelessNetwork { gap: GapPolicy::Hold, ..network.clone() };
+        let mut other = WirelessNetwork { gap: GapPolicy::Hold, ..network.clone() };
+        if let Some(contention) = other.access.contention_mut() {
+            contention.interference.clear();
+        }
         let wireless = [("lab".to_owned(), network), ("other".to_owned(), other)].into();
         let graph = HardwareGraph { wireless, ..base::graph(nodes, Vec::new()) };
         let ports = graph.hosts().enumerate().map(|(i, n)| (n.id.clone(), PortId(i))).collect();

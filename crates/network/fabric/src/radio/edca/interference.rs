@@ -10,6 +10,8 @@ use super::{backoff::Backoff, category::Category};
 
 /// Frames of another network that wait at most; more do not come until some are sent.
 const MOST_WAITING: u32 = 64;
+/// Its airtime of one contention, at most: what waits goes together, as A-MPDU.
+const LONGEST: Duration = super::transmission::LONGEST_AGGREGATE;
 
 /// A source of interference.
 #[derive(Debug)]
@@ -27,8 +29,8 @@ pub(in crate::radio) struct Interference {
 
 #[derive(Debug)]
 enum Source {
-    /// Frames of the same length that come at random times.
-    Network { backoff: Backoff, waiting: u32, next: Timestamp },
+    /// Frames of the same airtime that come at random times: the airtime that waits, and what of it is on the air.
+    Network { backoff: Backoff, waiting: Duration, on_air: Duration, next: Timestamp },
     /// The start of the next pulse.
     Device { next: Timestamp },
 }
@@ -48,7 +50,12 @@ impl Interference {
             InterfererKind::Network { .. } => {
                 let rng = Draws::new(seed, &format!("backoff {label}"));
                 let backoff = Backoff::new(Category::BestEffort.of_station(), sifs, rng);
-                Source::Network { backoff, waiting: 0, next: Timestamp::ZERO }
+                Source::Network {
+                    backoff,
+                    waiting: Duration::ZERO,
+                    on_air: Duration::ZERO,
+                    next: Timestamp::ZERO,
+                }
             }
             InterfererKind::Device { on, off } => {
                 Source::Device { next: Timestamp::ZERO + (on + off).mul_f64(rng.unit()) }
@@ -106,7 +113,9 @@ impl Interference {
     /// Returns when it changes or sends next.
     pub(super) fn deadline(&self) -> Timestamp {
         let sends = match &self.source {
-            Source::Network { backoff, waiting: 1.., next } => (*next).min(backoff.access()),
+            Source::Network { backoff, waiting, next, .. } if !waiting.is_zero() => {
+                (*next).min(backoff.access())
+            }
             Source::Network { next, .. } | Source::Device { next } => *next,
         };
         sends.min(self.changes)
@@ -120,13 +129,13 @@ impl Interference {
         }
         match (self.spec.kind, &mut self.source) {
             (InterfererKind::Network { airtime, .. }, Source::Network { .. }) => {
-                self.frames(now);
-                match &self.source {
-                    Source::Network { backoff, waiting: 1.., .. } => {
-                        (backoff.access() <= now).then_some(airtime)
-                    }
-                    _ => None,
+                self.frames(now, airtime);
+                let Source::Network { backoff, waiting, on_air, .. } = &mut self.source else { return None };
+                if waiting.is_zero() || backoff.access() > now {
+                    return None;
                 }
+                *on_air = (*waiting).min(LONGEST.max(airtime));
+                Some(*on_air)
             }
             (InterfererKind::Device { on, off }, Source::Device { next }) if *next <= now => {
                 *next = *next + on + off;
@@ -137,18 +146,18 @@ impl Interference {
     }
 
     /// Queues the frames that have come by `now`.
-    fn frames(&mut self, now: Timestamp) {
+    fn frames(&mut self, now: Timestamp, airtime: Duration) {
         loop {
-            let Source::Network { backoff, waiting, next } = &mut self.source else { return };
+            let Source::Network { backoff, waiting, next, .. } = &mut self.source else { return };
             if *next > now {
                 return;
             }
             let came = *next;
-            if self.present && *waiting < MOST_WAITING {
-                *waiting += 1;
-                if *waiting == 1 {
+            if self.present && *waiting < MOST_WAITING * airtime {
+                if waiting.is_zero() {
                     backoff.wake(came);
                 }
+                *waiting += airtime;
             }
             let following = self.next_frame(came);
             if let Source::Network { next, .. } = &mut self.source {
@@ -157,15 +166,12 @@ impl Interference {
         }
     }
 
-    /// Records the end of a frame.
-    pub(super) fn sent(&mut self, acknowledged: bool) {
-        if let Source::Network { backoff, waiting, .. } = &mut self.source {
-            if acknowledged {
-                *waiting = waiting.saturating_sub(1);
-                backoff.reset();
-            } else {
-                backoff.double();
-            }
+    /// Records the end of what was on the air, of which this was disturbed, and goes again.
+    pub(super) fn sent(&mut self, disturbed: Duration) {
+        if let Source::Network { backoff, waiting, on_air, .. } = &mut self.source {
+            let done = on_air.saturating_sub(disturbed);
+            *waiting = waiting.saturating_sub(done);
+            if done.is_zero() { backoff.double() } else { backoff.reset() }
         }
     }
 

@@ -326,8 +326,8 @@ impl Edca {
         }
     }
 
-    /// Returns whose backoffs are over, with what they send: a radio unit its beacon first. Where more than one category of a sender is due, the most urgent
-    /// sends, and the others back off as after a collision (10.23.2.4).
+    /// Returns whose backoffs are over, with what they send. Where more than one category of a sender is due, the most urgent
+    /// sends, and the others back off as after a collision (10.23.2.4). A beacon is the most urgent of all.
     fn senders(&mut self, channel: usize, now: Timestamp) -> Vec<Sender> {
         let mut senders = Vec::new();
         for emitter in self.members(channel) {
@@ -418,9 +418,9 @@ impl Edca {
         self.see_frames(now, emitter);
     }
 
-    fn end_interference(&mut self, emitter: Emitter, undisturbed: bool) {
+    fn end_interference(&mut self, emitter: Emitter, disturbed: Duration) {
         if let Emitter::Interference(source) = emitter {
-            self.interference[source].sent(undisturbed);
+            self.interference[source].sent(disturbed);
         }
     }
 

@@ -28,7 +28,8 @@ const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
 /// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
 pub(super) const AGGREGATED_FRAMES: usize = 64;
-/// Airtime of an A-MPDU, at most: aPPDUMaxTime, and what the length in L-SIG can say (IEEE 802.11-2020, table 21-28, 19.3.9.3.5).
+/// Airtime of an A-MPDU, at most: aPPDUMaxTime, and what the length in L-SIG can say (IEEE 802.11-2020, table 21-28,
+/// 19.3.9.3.5).
 pub(super) const LONGEST_AGGREGATE: Duration = Duration::from_micros(5484);
 
 /// A transmission, from its start to the end of its acknowledgement.
@@ -104,6 +105,21 @@ impl OnAir {
     /// Creates a transmission that nobody answers.
     fn unanswered(emitter: Emitter, [start, ends]: [Timestamp; 2], load: Load) -> Self {
         Self { emitter, start, data_ends: ends, ends, overlaps: Vec::new(), load }
+    }
+
+    /// Returns the time in which others sent, too: all of it if they did at its start.
+    fn disturbed(&self) -> Duration {
+        let mut spans: Vec<_> = self.overlaps.iter().map(|overlap| overlap.span).collect();
+        spans.sort_unstable();
+        let (mut disturbed, mut until) = (Duration::ZERO, self.start);
+        for [from, to] in spans {
+            if from == self.start {
+                return self.data_ends.since(self.start);
+            }
+            disturbed += to.since(from.max(until));
+            until = until.max(to);
+        }
+        disturbed
     }
 }
 
@@ -228,7 +244,7 @@ impl Radio {
     fn end_transmission(&mut self, channel: usize, ended: OnAir) {
         let content = match &ended.load {
             Load::Interference => {
-                return self.edca().end_interference(ended.emitter, ended.overlaps.is_empty());
+                return self.edca().end_interference(ended.emitter, ended.disturbed());
             }
             Load::Beacon => return,
             Load::Foreign(_) => return self.end_foreign(channel, ended),
