@@ -151,6 +151,8 @@ class Json
 
 constexpr uint16_t ANSWERS = 7000;
 constexpr uint16_t TAKES = 7001;
+/// Bytes of an Ethernet header.
+constexpr uint32_t ETHERNET = 14;
 
 /// The beginning of a request and of its answer.
 struct Header
@@ -184,6 +186,8 @@ class Robot
     Ptr<Node> node;
     /// The radio unit that carries its packets now.
     std::string unit;
+    /// Ethernet frames from it at radio units, bytes.
+    uint64_t bytes = 0;
 };
 
 using Addresses = std::map<std::pair<std::string, std::string>, Ipv4Address>;
@@ -227,18 +231,10 @@ class Sender
         SendNext();
     }
 
-    /// Counts a datagram that its server received.
-    void Received(uint32_t bytes)
-    {
-        ++m_receivedPackets;
-        m_receivedBytes += bytes;
-    }
-
     /// Writes the times from request to answer, each behind the number of its request.
     void Write(std::ostream& out) const
     {
-        out << "{\"name\":\"" << m_name << "\",\"sent\":" << m_next << ",\"received_packets\":" << m_receivedPackets
-            << ",\"received_bytes\":" << m_receivedBytes << ",\"took_s\":[";
+        out << "{\"name\":\"" << m_name << "\",\"sent\":" << m_next << ",\"took_s\":[";
         for (size_t i = 0; i < m_took.size(); ++i)
         {
             out << (i ? "," : "") << "[" << m_took[i].first << "," << m_took[i].second << "]";
@@ -304,31 +300,27 @@ class Sender
     double m_timeout = 0;
     Ptr<Socket> m_socket;
     std::vector<std::pair<uint32_t, double>> m_took;
-    uint64_t m_receivedPackets = 0;
-    uint64_t m_receivedBytes = 0;
 };
 
 using Senders = std::vector<std::unique_ptr<Sender>>;
 
-/// Counts the datagrams of bursts that come to a server.
+/// Takes the datagrams of bursts that come to a server.
 void
-Take(Senders* senders, Ptr<Socket> socket)
+Take(Ptr<Socket> socket)
 {
-    while (Ptr<Packet> packet = socket->Recv())
+    while (socket->Recv())
     {
-        senders->at(ReadHeader(packet).service)->Received(packet->GetSize());
     }
 }
 
 /// Answers the requests that come to a server.
 void
-Answer(Senders* senders, Ptr<Socket> socket)
+Answer(Ptr<Socket> socket)
 {
     Address from;
     while (Ptr<Packet> packet = socket->RecvFrom(from))
     {
         const Header header = ReadHeader(packet);
-        senders->at(header.service)->Received(packet->GetSize());
         Simulator::Schedule(MicroSeconds(header.processingUs), [socket, header, from] {
             socket->SendTo(MakePacket(header, header.answerBytes), 0, from);
         });
@@ -570,6 +562,7 @@ Run(const std::string& path, uint32_t seed)
     {
         networks[spec["name"].Text()] = std::make_unique<Network>(spec, air);
     }
+    std::map<Ipv4Address, Robot*> owners;
     std::map<std::string, const Json*> unitSpecs;
     std::map<std::string, Ipv4Address> unitAddresses;
     std::map<std::string, Ipv4AddressHelper> cells;
@@ -588,6 +581,16 @@ Run(const std::string& path, uint32_t seed)
         cellNetworks[name] = network;
         cells[name] = Ipv4AddressHelper(network, Ipv4Mask("255.255.0.0"));
         unitAddresses[name] = cells[name].Assign(NetDeviceContainer(device)).GetAddress(0);
+        unit->GetObject<Ipv4L3Protocol>()->TraceConnectWithoutContext(
+            "Rx", Callback<void, Ptr<const Packet>, Ptr<Ipv4>, uint32_t>([&owners](Ptr<const Packet> packet, Ptr<Ipv4>, uint32_t) {
+                Ipv4Header header;
+                packet->PeekHeader(header);
+                auto owner = owners.find(header.GetSource());
+                if (owner != owners.end())
+                {
+                    owner->second->bytes += packet->GetSize() + ETHERNET;
+                }
+            }));
     }
 
     // The paths from radio units to servers, and back.
@@ -638,6 +641,7 @@ Run(const std::string& path, uint32_t seed)
                                             ->Install(robot.node, unitSpec, spec["tx_power_dbm"].Number(), false);
                 auto assigned = cells.at(unit).Assign(NetDeviceContainer(device));
                 interfaces[unit] = assigned.Get(0).second;
+                owners[assigned.GetAddress(0)] = &robot;
             }
             Simulator::Schedule(Seconds(attachment.Items()[0].Number()), [&robot, &routing, &unitAddresses, unit, interfaces] {
                 Ptr<Ipv4StaticRouting> own = routing.GetStaticRouting(robot.node->GetObject<Ipv4>());
@@ -669,8 +673,7 @@ Run(const std::string& path, uint32_t seed)
         {
             Ptr<Socket> socket = Socket::CreateSocket(node(name.Text()), UdpSocketFactory::GetTypeId());
             socket->Bind(InetSocketAddress(Ipv4Address::GetAny(), port));
-            const auto handle = port == ANSWERS ? Answer : Take;
-            socket->SetRecvCallback(Callback<void, Ptr<Socket>>([&senders, handle](Ptr<Socket> s) { handle(&senders, s); }));
+            socket->SetRecvCallback(MakeCallback(port == ANSWERS ? &Answer : &Take));
         }
     }
 
@@ -681,6 +684,12 @@ Run(const std::string& path, uint32_t seed)
     {
         std::cout << (i ? "," : "");
         senders[i]->Write(std::cout);
+    }
+    std::cout << "],\"robots\":[";
+    for (auto robot = robots.begin(); robot != robots.end(); ++robot)
+    {
+        std::cout << (robot == robots.begin() ? "" : ",") << "{\"name\":\"" << robot->first << "\",\"bytes\":" << robot->second.bytes
+                  << "}";
     }
     std::cout << "]}\n";
     Simulator::Destroy();

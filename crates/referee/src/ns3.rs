@@ -9,7 +9,7 @@ use std::{
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use crate::{Measured, Ours, Run, Scenario, ours::HEADERS};
+use crate::{Measured, Ours, Run, Scenario};
 
 /// The wheel of ns-3, as pip names it.
 pub const WHEEL: &str = "ns3==3.44.post0";
@@ -127,28 +127,31 @@ impl Ns3 {
 #[derive(Deserialize)]
 struct Printed {
     senders: Vec<PrintedSender>,
+    robots: Vec<PrintedRobot>,
+}
+
+#[derive(Deserialize)]
+struct PrintedRobot {
+    name: String,
+    bytes: u64,
 }
 
 #[derive(Deserialize)]
 struct PrintedSender {
     name: String,
     sent: u32,
-    received_packets: u64,
-    received_bytes: u64,
     took_s: Vec<(u32, f64)>,
 }
 
 impl Printed {
     fn measured(self, scenario: &Scenario) -> Run {
-        let mut run = Run::default();
-        let seconds = scenario.seconds();
-        for (printed, sender) in self.senders.into_iter().zip(&scenario.senders) {
-            let bytes = printed.received_bytes as f64 + HEADERS * printed.received_packets as f64;
-            *run.mbps.entry(sender.robot.clone()).or_default() += bytes * 8e-6 / seconds;
+        let mbps = |bytes: u64| bytes as f64 * 8e-6 / scenario.seconds();
+        let senders = self.senders.into_iter().map(|printed| {
             let took_ms = printed.took_s.into_iter().map(|(number, took)| (number, took * 1e3)).collect();
-            run.senders.insert(printed.name, Measured { took_ms, sent: printed.sent });
-        }
-        run
+            (printed.name, Measured { took_ms, sent: printed.sent })
+        });
+        let robots = self.robots.into_iter().map(|robot| (robot.name, mbps(robot.bytes)));
+        Run { senders: senders.collect(), mbps: robots.collect() }
     }
 }
 

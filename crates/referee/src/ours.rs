@@ -35,8 +35,6 @@ const FRAGMENT: u32 = 1280;
 const BEFORE_FRAGMENT: u32 = 33;
 /// Packets that a radio queues.
 const RADIO_QUEUE: u32 = 1000;
-/// Bytes of a UDP datagram's headers in an Ethernet frame.
-pub(crate) const HEADERS: f64 = 42.0;
 /// Ages at which answers count no more: of commands, and of poses.
 const COMMANDS: f64 = 0.6;
 const POSES: f64 = 3.0;

@@ -43,6 +43,9 @@ pub fn plain(mut testbed: Testbed) -> Plain {
     if testbed.probes.take().is_some() {
         lines.left_out("probes of links".to_owned());
     }
+    if !testbed.graph.links.is_empty() {
+        lines.unlike("headers on wires: 2 bytes in ns-3, and 14 here".to_owned());
+    }
     for service in &testbed.services {
         if service.kpis.flow.is_some() {
             lines.unlike(format!("service {}: programs do not run in virtual time, nor in ns-3", service.id));
@@ -173,7 +176,13 @@ links:
         for what in ["shadowing", "fading", "loss", "the delay", "interference", "jitter, loss", "probes"] {
             assert!(listed(what), "{what}: {left_out:?}");
         }
-        assert_eq!(unlike, ["network old: senders take turns here, and contend in ns-3"]);
+        assert_eq!(
+            unlike,
+            [
+                "network old: senders take turns here, and contend in ns-3",
+                "headers on wires: 2 bytes in ns-3, and 14 here",
+            ]
+        );
         // What is plain stays as it is.
         assert_eq!(super::plain(plain.clone()), Plain { testbed: plain, left_out: Vec::new(), unlike });
     }
