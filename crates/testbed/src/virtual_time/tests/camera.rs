@@ -92,7 +92,7 @@ fn images_load_the_links_and_raise_the_service_time() {
     );
     let at = |times: &[f64], share: f64| times[(times.len() as f64 * share) as usize];
     // An image of 60 packets takes ten milliseconds of airtime, in aggregates of which each lasts for some.
-    assert!(at(&beside, 0.95) > at(&alone, 0.95) + 5.0, "{} and {}", at(&beside, 0.95), at(&alone, 0.95));
+    assert!(at(&beside, 0.99) > at(&alone, 0.99) + 5.0, "{} and {}", at(&beside, 0.99), at(&alone, 0.99));
     assert!(at(&beside, 0.25) < at(&alone, 0.75) + 1.0, "between images there is room");
 }
 

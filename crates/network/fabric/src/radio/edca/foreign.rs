@@ -508,7 +508,7 @@ impl Radio {
             return vec![Part { span, quality: Some(signal.0 - noise_db) }];
         }
         let Load::Foreign(Try { rate, .. }) = sent.load else { return Vec::new() };
-        let parts = self.ratios(sent, receiver, signal);
+        let parts = self.ratios(sent.overlapped(), receiver, signal);
         let header = [sent.start, (sent.start + rate.preamble()).min(sent.data_ends)];
         let lost = overlap::error_rate(&parts, header, |snr_db| rate.header_error_rate(*snr_db));
         let received = self.edca().foreign[to].rng.unit() >= lost;

@@ -3,7 +3,7 @@
 
 use cotorra_graph::{Dbm, Timestamp};
 
-use super::{Emitter, transmission::OnAir};
+use super::Emitter;
 use crate::radio::{Path, Radio, phy::Reception};
 
 /// Power above all others together from which a receiver drops a frame that it receives for one that begins later
@@ -19,6 +19,15 @@ pub(super) struct Overlap {
     pub(super) span: [Timestamp; 2],
     /// Start of the other's frame.
     pub(super) began: Timestamp,
+}
+
+/// A frame, with those that overlap with it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Overlapped<'a> {
+    pub(super) emitter: Emitter,
+    /// Start and end of its data.
+    pub(super) span: [Timestamp; 2],
+    pub(super) overlaps: &'a [Overlap],
 }
 
 /// A span of a frame, and its quality there; `None` if the receiver does not listen to it.
@@ -53,9 +62,9 @@ pub(super) fn error_rate<Q>(parts: &[Part<Q>], [from, to]: [Timestamp; 2], of: i
 impl Radio {
     /// Returns the parts of a frame that overlaps with others, with the signal-to-noise ratio at a receiver in each, dB. `signal`
     /// is its power there.
-    pub(super) fn ratios(&self, sent: &OnAir, receiver: Emitter, signal: Dbm) -> Vec<Part<f64>> {
+    pub(super) fn ratios(&self, sent: Overlapped<'_>, receiver: Emitter, signal: Dbm) -> Vec<Part<f64>> {
         let spec = &self.networks[self.network_of(receiver)].spec;
-        let mut cuts = vec![sent.start, sent.data_ends];
+        let mut cuts = sent.span.to_vec();
         cuts.extend(sent.overlaps.iter().flat_map(|overlap| overlap.span));
         cuts.sort_unstable();
         cuts.dedup();
@@ -68,7 +77,7 @@ impl Radio {
                 let others = || sent.overlaps.iter().filter(here);
                 // A receiver that sends, or has turned to a frame that is far stronger, does not come back to this one.
                 listens &= others().all(|other| {
-                    let turns = other.began > sent.start
+                    let turns = other.began > sent.span[0]
                         && self.is_wifi(other.emitter)
                         && power(other).0 >= signal.0 + RESTART_DB;
                     other.emitter != receiver && !turns
@@ -81,9 +90,9 @@ impl Radio {
     }
 
     /// Whether a receiver stays with another frame, which it had begun to receive before.
-    fn is_locked(&self, sent: &OnAir, receiver: Emitter, signal: Dbm, other: &Overlap) -> bool {
+    fn is_locked(&self, sent: Overlapped<'_>, receiver: Emitter, signal: Dbm, other: &Overlap) -> bool {
         let power = self.power(other.emitter, receiver);
-        other.began < sent.start
+        other.began < sent.span[0]
             && self.is_wifi(other.emitter)
             && power >= self.networks[self.network_of(receiver)].sensitivity
             && signal.0 < power.0 + RESTART_DB
@@ -91,20 +100,20 @@ impl Radio {
 
     /// Returns the parts of a frame on a path, with what the receiver makes of each. The header of a frame that is disturbed
     /// may be lost, and the frame with it: then there is none.
-    pub(super) fn parts_of(&mut self, sent: &OnAir, path: Path) -> Vec<Part<Reception>> {
-        let span = [sent.start, sent.data_ends];
+    pub(super) fn parts_of(&mut self, sent: Overlapped<'_>, path: Path) -> Vec<Part<Reception>> {
+        let Overlapped { span, .. } = sent;
         if sent.overlaps.is_empty() {
-            return vec![Part { span, quality: Some(self.reception(sent.start, path)) }];
+            return vec![Part { span, quality: Some(self.reception(span[0], path)) }];
         }
         let place = self.robots[path.robot].position;
-        let moment = self.link(path.robot, path.unit).moment(sent.start, place);
+        let moment = self.link(path.robot, path.unit).moment(span[0], place);
         let fading_db = self.fading_db(path, moment);
         let signal = self.signals(path.robot, path.unit)[path.direction as usize];
         let phy = self.phy_of(sent.emitter);
         let ratios = self.ratios(sent, path.receiver(), Dbm(signal.0 + fading_db));
         let parts: Vec<_> =
             ratios.into_iter().map(|part| part.map(|snr_db| Reception::new(phy, snr_db))).collect();
-        let header = [sent.start, (sent.start + phy.preamble()).min(sent.data_ends)];
+        let header = [span[0], (span[0] + phy.preamble()).min(span[1])];
         let lost = error_rate(&parts, header, Reception::header_error_rate);
         if self.lane(path).receives(lost) { parts } else { Vec::from([Part { span, quality: None }]) }
     }

@@ -6,7 +6,7 @@ use cotorra_graph::{Dbm, Timestamp};
 
 use super::{
     Edca, Emitter,
-    overlap::{self, Overlap},
+    overlap::{self, Overlap, Overlapped},
     stream::{Batch, Settled},
 };
 use crate::{
@@ -105,6 +105,12 @@ impl OnAir {
     /// Creates a transmission that nobody answers.
     fn unanswered(emitter: Emitter, [start, ends]: [Timestamp; 2], load: Load) -> Self {
         Self { emitter, start, data_ends: ends, ends, overlaps: Vec::new(), load }
+    }
+
+    /// Returns what others did to its data.
+    pub(super) fn overlapped(&self) -> Overlapped<'_> {
+        let span = [self.start, self.data_ends];
+        Overlapped { emitter: self.emitter, span, overlaps: &self.overlaps }
     }
 
     /// Returns the time in which others sent, too: all of it if they did at its start.
@@ -261,7 +267,7 @@ impl Radio {
 
     /// Whether the receiver answers an RTS.
     fn clears(&mut self, rts: &OnAir, path: Path) -> bool {
-        let parts = self.parts_of(rts, path);
+        let parts = self.parts_of(rts.overlapped(), path);
         let lost = overlap::error_rate(&parts, [rts.start, rts.data_ends], Reception::rts_error_rate);
         self.lane(path).receives(lost)
     }
@@ -297,7 +303,7 @@ impl Radio {
             // The station has left its channel.
             return self.edca().end_exchange(now, ended.emitter, category, false);
         }
-        let parts = self.parts_of(ended, path);
+        let parts = self.parts_of(ended.overlapped(), path);
         let data = ended.start + self.phy_of(ended.emitter).preamble();
         let time_of = |bytes: usize| now.since(data).mul_f64(bytes as f64 / all_bytes as f64);
         let mut edca = self.edca.take().expect("a network with contention");
@@ -348,7 +354,7 @@ impl Radio {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);
             let bytes = frame.bytes().len();
             let received = present && {
-                let parts = self.parts_of(ended, path);
+                let parts = self.parts_of(ended.overlapped(), path);
                 let span = [ended.start, now];
                 let lost = overlap::error_rate(&parts, span, |part| part.group_error_rate(bytes));
                 self.lane(path).receives(lost)
