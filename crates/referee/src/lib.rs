@@ -1,10 +1,10 @@
 //! A second opinion on a testbed's figures: the same radio units, robots, walks, wires and packets in ns-3, an independent
 //! simulator, and how far the two are apart.
 //!
-//! 1. [`plain`] takes out of a testbed what ns-3 has no part for, and lists it. Both sides then run the same.
+//! 1. [`plain()`] takes out of a testbed what ns-3 has no part for, and lists it. Both sides then run the same.
 //! 2. [`ours()`] runs it in virtual time. What its robots sent, when and where, becomes a [`Scenario`].
 //! 3. [`Ns3`] compiles the program `ns3/scenario.cc` against the wheel of ns-3, and runs the scenario in it.
-//! 4. [`compare`] puts the samples of both beside each other, and judges them by [`Bound`].
+//! 4. [`compare()`] puts the samples of both beside each other, and judges them by [`Bound`].
 #![forbid(unsafe_code)]
 
 mod compare;
