@@ -21,8 +21,8 @@ use cotorra_testbed::RunError;
 use parking_lot::Mutex;
 
 use crate::{
-    duration::parse_duration, exit::Status, output, progress::Progress, signals, table::Table,
-    testbed_file::Loaded, words::count,
+    duration::parse_duration, exit::Status, output, progress::Progress, table::Table, testbed_file::Loaded,
+    words::count,
 };
 
 /// The environment variable that names a Python environment with ns-3.
@@ -69,12 +69,17 @@ pub enum AgainstError {
     #[error("no robot of the testbed measures anything that ns-3 can send")]
     #[diagnostic(help("a service of a robot with a bundled VNF does, such as `program: navigation`"))]
     Nothing,
-    #[error(transparent)]
-    Signals(#[from] signals::SignalsError),
+    #[error("--out takes the comparison of one testbed file, and here are {0}")]
+    #[diagnostic(help("name one testbed file, or leave --out out"))]
+    ManyFiles(usize),
 }
 
-/// Compares a testbed with ns-3.
-pub fn against(loaded: &Loaded, args: &AgainstArgs) -> miette::Result<Status> {
+/// Compares a testbed with ns-3, until something comes by `interrupts`.
+pub fn against(
+    loaded: &Loaded,
+    args: &AgainstArgs,
+    interrupts: &mpsc::Receiver<()>,
+) -> miette::Result<Status> {
     let Plain { testbed, left_out, unlike } = plain(loaded.testbed.clone());
     let (testbed, folder) = (Arc::new(testbed), tempfile::tempdir().map_err(file("a temporary folder"))?);
     let folder = match &args.out {
@@ -87,7 +92,7 @@ pub fn against(loaded: &Loaded, args: &AgainstArgs) -> miette::Result<Status> {
     let environment = env::var_os(ENVIRONMENT).map(PathBuf::from);
     let ns3 =
         Ns3::prepare(environment.as_deref(), &cache(), |line| note!("{line}")).map_err(AgainstError::from)?;
-    let Some(pairs) = run(&testbed, &loaded.text, args, &ns3, folder)? else {
+    let Some(pairs) = run(&testbed, &loaded.text, args, &ns3, folder, interrupts)? else {
         return Ok(Status::Interrupted);
     };
     let targets: BTreeMap<_, _> =
@@ -128,8 +133,8 @@ fn run(
     args: &AgainstArgs,
     ns3: &Ns3,
     folder: &Path,
+    interrupts: &mpsc::Receiver<()>,
 ) -> miette::Result<Option<Vec<(Ours, Run)>>> {
-    let interrupts = signals::listen().map_err(AgainstError::from)?;
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let all = args.seeds as usize;
     let pairs: Mutex<BTreeMap<usize, (Ours, Run)>> = Mutex::default();
@@ -159,14 +164,17 @@ fn run(
         let mut progress = Progress::new(false);
         let mut count = 0;
         let outcome = loop {
+            let received = finished.recv_timeout(Duration::from_millis(100));
             if interrupts.try_recv().is_ok() {
                 stop.store(true, Ordering::Relaxed);
             }
-            match finished.recv_timeout(Duration::from_millis(100)) {
+            match received {
                 Ok(Ok(())) => {
                     count += 1;
                     progress.show(count, all);
                 }
+                // Ctrl-C ends ns-3, too.
+                Ok(Err(_)) if stop.load(Ordering::Relaxed) => {}
                 Ok(Err(error)) => {
                     stop.store(true, Ordering::Relaxed);
                     break Err(error);

@@ -15,12 +15,12 @@ use clap::Args;
 use cotorra_graph::{Program, Testbed};
 use cotorra_testbed::{Rehearsal, missing_cpus};
 
-use self::against::AgainstArgs;
+use self::against::{AgainstArgs, AgainstError};
 use crate::{
     approval::{self, TrustArgs},
     exit::Status,
     figures::parse_figure_file,
-    output, testbed_file,
+    output, signals, testbed_file,
 };
 
 /// Check testbed files
@@ -86,6 +86,11 @@ pub fn check(args: &CheckArgs) -> miette::Result<Status> {
     if let Some(out) = &args.coverage {
         coverage::check(out, args.files.len())?;
     }
+    if args.against.out.is_some() && args.files.len() > 1 {
+        return Err(AgainstError::ManyFiles(args.files.len()).into());
+    }
+    // Ctrl-C can be listened to once, for all files.
+    let interrupts = args.against.against.map(|_| signals::listen()).transpose()?;
     let mut status = Status::Done;
     for file in &args.files {
         match testbed_file::load(file, &[]) {
@@ -103,9 +108,12 @@ pub fn check(args: &CheckArgs) -> miette::Result<Status> {
                         let shown = coverage::write(&loaded.testbed, out)?;
                         output::print(&format!("{}: {shown}\n", out.display()))?;
                     }
-                    if args.against.against.is_some() {
+                    if let Some(interrupts) = &interrupts {
                         approval::demand(&loaded, file, args.trust)?;
-                        status = status.max(against::against(&loaded, &args.against)?);
+                        match against::against(&loaded, &args.against, interrupts)? {
+                            Status::Interrupted => return Ok(Status::Interrupted),
+                            compared => status = status.max(compared),
+                        }
                     }
                 }
                 Err(error) => {
