@@ -445,6 +445,15 @@ impl Direction {
 pub struct WirelessNetwork {
     /// Physical layer.
     pub standard: WifiStandard,
+    /// Width of its channels.
+    #[serde(default)]
+    pub width: ChannelWidth,
+    /// Most spatial streams of a frame, which is also the number of antennas of all stations.
+    #[serde(default = "one_stream")]
+    pub streams: u8,
+    /// Guard interval of its frames.
+    #[serde(default)]
+    pub guard_interval: GuardInterval,
     /// One-way delay of a frame on an idle channel, airtime included: what is measured on the air with small
     /// frames. Queueing behind others and retries come on top.
     #[serde(rename = "delay_ms", with = "millis")]
@@ -499,21 +508,106 @@ pub enum WifiStandard {
     G,
     /// IEEE 802.11a: OFDM, 20 MHz at 5 GHz, 6 to 54 Mbit/s.
     A,
-    /// IEEE 802.11n: HT, one stream, 20 MHz at 2.4 GHz, 6.5 to 65 Mbit/s.
+    /// IEEE 802.11n: HT at 2.4 or 5 GHz, 6.5 to 65 Mbit/s with one stream in 20 MHz.
     #[default]
     N,
-    /// IEEE 802.11ac: VHT, one stream, 20 MHz at 5 GHz, 6.5 to 78 Mbit/s.
+    /// IEEE 802.11ac: VHT at 5 GHz, 6.5 to 78 Mbit/s with one stream in 20 MHz.
     Ac,
+    /// IEEE 802.11ax: HE at 2.4 or 5 GHz, 8.6 to 143.4 Mbit/s with one stream in 20 MHz.
+    Ax,
+}
+
+/// Width of a network's channels.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Default,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+)]
+pub enum ChannelWidth {
+    /// 20 MHz.
+    #[default]
+    #[serde(rename = "20 MHz")]
+    Mhz20,
+    /// 40 MHz.
+    #[serde(rename = "40 MHz")]
+    Mhz40,
+    /// 80 MHz.
+    #[serde(rename = "80 MHz")]
+    Mhz80,
+}
+
+impl ChannelWidth {
+    /// Returns the width, MHz.
+    pub const fn mhz(self) -> u16 {
+        match self {
+            Self::Mhz20 => 20,
+            Self::Mhz40 => 40,
+            Self::Mhz80 => 80,
+        }
+    }
+}
+
+/// Guard interval between symbols. The default is the longest of 802.11a, g, n and ac, and the shortest of 802.11ax.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub enum GuardInterval {
+    /// 400 ns.
+    #[serde(rename = "400 ns")]
+    Ns400,
+    /// 800 ns.
+    #[default]
+    #[serde(rename = "800 ns")]
+    Ns800,
+    /// 1.6 µs.
+    #[serde(rename = "1600 ns")]
+    Ns1600,
+    /// 3.2 µs.
+    #[serde(rename = "3200 ns")]
+    Ns3200,
+}
+
+impl GuardInterval {
+    /// Returns its duration, ns.
+    pub const fn ns(self) -> u16 {
+        match self {
+            Self::Ns400 => 400,
+            Self::Ns800 => 800,
+            Self::Ns1600 => 1600,
+            Self::Ns3200 => 3200,
+        }
+    }
+}
+
+/// Band of a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Band {
+    /// 2.4 GHz.
+    Ghz2,
+    /// 5 GHz.
+    Ghz5,
+}
+
+const fn one_stream() -> u8 {
+    1
 }
 
 impl WifiStandard {
-    /// Returns its name and band, as people read them.
+    /// Returns its name, and its band if it has only one, as people read them.
     pub const fn described(self) -> &'static str {
         match self {
             Self::G => "802.11g at 2.4 GHz",
             Self::A => "802.11a at 5 GHz",
-            Self::N => "802.11n at 2.4 GHz",
+            Self::N => "802.11n",
             Self::Ac => "802.11ac at 5 GHz",
+            Self::Ax => "802.11ax",
         }
     }
 }

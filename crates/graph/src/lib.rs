@@ -80,9 +80,9 @@ pub use figure::{
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
-    BackgroundScan, Capacity, Direction, Fading, Frames, GapPolicy, HandoverTimes, HardwareGraph,
-    HostAddress, Link, Node, NodeKind, PathLoss, Phase, RadioUnit, Roaming, Robot, RobotClock, RobotModel,
-    ScanVisits, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
+    BackgroundScan, Band, Capacity, ChannelWidth, Direction, Fading, Frames, GapPolicy, GuardInterval,
+    HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PathLoss, Phase, RadioUnit, Roaming,
+    Robot, RobotClock, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,

@@ -2,7 +2,9 @@
 //! share them, and the loss by [walls](crate::Walls).
 
 use crate::{
-    hardware::{HardwareGraph, Node, NodeKind, PathLoss, RadioUnit, WifiStandard, WirelessNetwork},
+    hardware::{
+        Band, ChannelWidth, HardwareGraph, Node, NodeKind, PathLoss, RadioUnit, WifiStandard, WirelessNetwork,
+    },
     units::{Dbm, Position},
 };
 
@@ -31,6 +33,14 @@ impl WirelessNetwork {
         self.path_loss.range_m(unit.tx_power.0 - signal.0, self.standard.frequency_mhz(unit.channel))
     }
 
+    /// Returns the noise of a receiver over the whole width of a channel.
+    pub fn noise(&self) -> Dbm {
+        match self.width {
+            ChannelWidth::Mhz20 => self.noise_floor,
+            wider => Dbm(self.noise_floor.0 + 10.0 * (f64::from(wider.mhz()) / 20.0).log10()),
+        }
+    }
+
     /// Returns the loss by walls between two antennas, in dB: 0 without [`Self::walls`].
     pub fn wall_loss_db(&self, a: Position, b: Position) -> f64 {
         self.walls.as_ref().map_or(0.0, |walls| walls.loss_between(a, b))
@@ -38,13 +48,47 @@ impl WirelessNetwork {
 }
 
 impl WifiStandard {
-    /// Centre frequency of a 20 MHz channel, in MHz: 2407 + 5·n at 2.4 GHz, where channel 14 lies apart at 2484
+    /// Returns the band of a channel.
+    pub const fn band(self, channel: u8) -> Band {
+        match (self, channel) {
+            (Self::G, _) | (Self::N | Self::Ax, ..=14) => Band::Ghz2,
+            (Self::A | Self::Ac, _) | (Self::N | Self::Ax, _) => Band::Ghz5,
+        }
+    }
+
+    /// Whether frames for one receiver may be sent together (A-MPDU).
+    pub const fn aggregates(self) -> bool {
+        matches!(self, Self::N | Self::Ac | Self::Ax)
+    }
+
+    /// Returns the lowest and the highest frequency of a channel of some width, MHz, by its primary channel of 20 MHz.
+    ///
+    /// At 5 GHz, channels of 40 and 80 MHz begin at channels 36, 100 and 149, and every two or four channels from there (IEEE
+    /// 802.11-2020, table E-4). At 2.4 GHz, the second half of 40 MHz lies above channels 1 to 7, and below the others.
+    pub fn span_mhz(self, channel: u8, width: ChannelWidth) -> [u16; 2] {
+        let (width, centre) = (width.mhz(), self.frequency_mhz(channel));
+        let lowest = match (self.band(channel), channel) {
+            (Band::Ghz2, ..=7) => centre - 10,
+            (Band::Ghz2, _) => centre + 10 - width,
+            (Band::Ghz5, _) => {
+                let first = match channel {
+                    ..100 => 36,
+                    100..149 => 100,
+                    149.. => 149,
+                };
+                centre - 10 - 5 * u16::from(channel.saturating_sub(first)) % width
+            }
+        };
+        [lowest, lowest + width]
+    }
+
+    /// Returns the centre frequency of a 20 MHz channel, in MHz: 2407 + 5·n at 2.4 GHz, where channel 14 lies apart at 2484
     /// (IEEE 802.11-2020, 15.4.4.3), and 5000 + 5·n at 5 GHz (17.3.8.4.2).
     pub fn frequency_mhz(self, channel: u8) -> u16 {
-        match (self, channel) {
-            (Self::A | Self::Ac, n) => 5000 + 5 * u16::from(n),
-            (Self::G | Self::N, 14) => 2484,
-            (Self::G | Self::N, n) => 2407 + 5 * u16::from(n),
+        match (self.band(channel), channel) {
+            (Band::Ghz5, n) => 5000 + 5 * u16::from(n),
+            (Band::Ghz2, 14) => 2484,
+            (Band::Ghz2, n) => 2407 + 5 * u16::from(n),
         }
     }
 }
@@ -104,10 +148,41 @@ mod tests {
     #[test]
     fn channels_lie_where_the_standard_puts_them() {
         use WifiStandard::{A, Ac, G, N};
-        let table =
-            [(G, 1, 2412), (N, 6, 2437), (G, 13, 2472), (N, 14, 2484), (A, 36, 5180), (Ac, 165, 5825)];
+        let table = [
+            (G, 1, 2412),
+            (N, 6, 2437),
+            (G, 13, 2472),
+            (N, 14, 2484),
+            (A, 36, 5180),
+            (Ac, 165, 5825),
+            (N, 36, 5180),
+        ];
         for (standard, channel, mhz) in table {
             assert_eq!(standard.frequency_mhz(channel), mhz);
+        }
+    }
+
+    #[test]
+    fn wide_channels_lie_where_the_standard_puts_them() {
+        use ChannelWidth::{Mhz20, Mhz40, Mhz80};
+        use WifiStandard::{Ac, Ax, N};
+        let table = [
+            (Ac, 36, Mhz80, [5170, 5250]),
+            (Ac, 48, Mhz80, [5170, 5250]),
+            (Ax, 52, Mhz80, [5250, 5330]),
+            (Ac, 100, Mhz80, [5490, 5570]),
+            (Ac, 144, Mhz80, [5650, 5730]),
+            (Ax, 149, Mhz80, [5735, 5815]),
+            (N, 157, Mhz40, [5775, 5815]),
+            (N, 161, Mhz40, [5775, 5815]),
+            (N, 161, Mhz20, [5795, 5815]),
+            (N, 1, Mhz40, [2402, 2442]),
+            (Ax, 8, Mhz40, [2417, 2457]),
+            (Ax, 13, Mhz40, [2442, 2482]),
+            (Ax, 13, Mhz20, [2462, 2482]),
+        ];
+        for (standard, channel, width, span) in table {
+            assert_eq!(standard.span_mhz(channel, width), span, "{standard:?} {channel} {width:?}");
         }
     }
 

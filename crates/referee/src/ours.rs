@@ -348,6 +348,7 @@ fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
             WifiStandard::A => "a",
             WifiStandard::N => "n",
             WifiStandard::Ac => "ac",
+            WifiStandard::Ax => "ax",
         },
         is_5ghz: frequency_mhz > 5000,
         width_mhz: 20,

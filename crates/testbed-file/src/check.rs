@@ -13,8 +13,8 @@ mod services;
 use std::collections::{HashMap, HashSet};
 
 use cotorra_graph::{
-    Driver, Edge, HardwareGraph, NodeId, NodeKind, Offer, Position, Rmw, Ros, Ros1, Ros2, RosMaster,
-    RosNetwork, Testbed, Topology, WifiStandard,
+    ChannelWidth, Driver, Edge, HardwareGraph, NodeId, NodeKind, Offer, Position, RadioUnit, Rmw, Ros, Ros1,
+    Ros2, RosMaster, RosNetwork, Testbed, Topology, WifiStandard, WirelessNetwork,
 };
 
 use crate::{
@@ -35,6 +35,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     agents::services(record, &testbed.graph, sink);
     containers::hosts(record, testbed, sink);
     radio_units(record, &testbed.graph, sink);
+    wide_channels(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     ports(record, &testbed.graph, sink);
     sensors::receivers(record, testbed, sink);
@@ -78,7 +79,7 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
         match (r, &node.kind) {
             (NodeRecord::RadioUnit(r), NodeKind::RadioUnit(unit)) => {
                 let standard = graph.wireless[&unit.network].standard;
-                let channels = channels(standard);
+                let channels = channels(standard, graph.wireless[&unit.network].width);
                 if !channels.contains(&unit.channel) {
                     let numbers: Vec<_> = channels.iter().map(u8::to_string).collect();
                     sink.error(&r.channel.span, format!("there is no channel {}", unit.channel)).help(
@@ -166,13 +167,52 @@ fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
 }
 
-/// Channels of 20 MHz (IEEE 802.11-2020, annex E; Europe's for 2.4 GHz).
-fn channels(standard: WifiStandard) -> Vec<u8> {
+/// Channels of 20 MHz (IEEE 802.11-2020, annex E; Europe's for 2.4 GHz), of which wider ones exist.
+fn channels(standard: WifiStandard, width: ChannelWidth) -> Vec<u8> {
+    // Channel 165 has no neighbour.
+    let last = if width == ChannelWidth::Mhz20 { 165 } else { 161 };
+    let at_5_ghz = (36..=64).step_by(4).chain((100..=144).step_by(4)).chain((149..=last).step_by(4));
+    let at_2_ghz = 1..=13;
     match standard {
-        WifiStandard::G | WifiStandard::N => (1..=13).collect(),
-        WifiStandard::A | WifiStandard::Ac => {
-            (36..=64).step_by(4).chain((100..=144).step_by(4)).chain((149..=165).step_by(4)).collect()
+        WifiStandard::G => at_2_ghz.collect(),
+        WifiStandard::A | WifiStandard::Ac => at_5_ghz.collect(),
+        WifiStandard::N | WifiStandard::Ax if width == ChannelWidth::Mhz80 => at_5_ghz.collect(),
+        WifiStandard::N | WifiStandard::Ax => at_2_ghz.chain(at_5_ghz).collect(),
+    }
+}
+
+/// The radio units of a network are in one band. Where a channel is wider than 20 MHz, others have the same primary channel
+/// or none of its frequencies: stations sense only their primary channel.
+fn wide_channels(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let mut before: Vec<(&NodeId, &RadioUnit)> = Vec::new();
+    for ((_, r), node) in record.nodes.0.iter().zip(&graph.nodes) {
+        let (NodeRecord::RadioUnit(r), NodeKind::RadioUnit(unit)) = (r, &node.kind) else { continue };
+        let network = &graph.wireless[&unit.network];
+        for (id, other) in &before {
+            let others = &graph.wireless[&other.network];
+            let of = |network: &WirelessNetwork, unit: &RadioUnit| network.standard.band(unit.channel);
+            if unit.network == other.network && of(network, unit) != of(others, other) {
+                let message =
+                    format!("`{id}` of the same network is in another band, on channel {}", other.channel);
+                sink.error(&r.channel.span, message).help("give the other band a network of its own");
+                return;
+            }
+            let [low, high] = network.standard.span_mhz(unit.channel, network.width);
+            let [others_low, others_high] = others.standard.span_mhz(other.channel, others.width);
+            let same =
+                network.standard.frequency_mhz(unit.channel) == others.standard.frequency_mhz(other.channel);
+            let is_wide = network.width.max(others.width) > ChannelWidth::Mhz20;
+            if is_wide && !same && low < others_high && others_low < high {
+                let message =
+                    format!("this channel overlaps with that of `{id}`, {others_low} to {others_high} MHz");
+                sink.error(&r.channel.span, message).help(format!(
+                    "write {}, or a channel that has none of these frequencies",
+                    other.channel
+                ));
+                return;
+            }
         }
+        before.push((&node.id, unit));
     }
 }
 

@@ -3,11 +3,11 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, BitRate, Bound, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
-    EngineKind, GapPolicy, InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability,
-    ListenPort, NodeId, Phase, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate,
-    RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume,
-    WifiStandard,
+    AgentId, BackgroundScan, BitRate, Bound, ChannelWidth, Correlation, DataFormat, Dbm, Direction, DomainId,
+    Emulation, EngineKind, GapPolicy, GuardInterval, InstructionLimit, IpNetwork, JitterDistribution, LinkId,
+    LinuxCapability, ListenPort, NodeId, Phase, PluginId, Position, Probability, Protection, Pull,
+    QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier,
+    VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -175,6 +175,13 @@ record! {
     WirelessRecord {
         /// Physical layer.
         standard: WifiStandard = "n",
+        /// Width of its channels: 20 MHz, and 40 MHz from `n`, 80 MHz from `ac` on. A radio unit's `channel` is the primary one
+        /// of 20 MHz.
+        width: Spanned<ChannelWidth> = "20 MHz",
+        /// Most spatial streams of a frame, 1 or 2 from `n` on. All its stations have as many antennas.
+        streams: Spanned<u8> = 1,
+        /// Guard interval between symbols: `400 ns` or `800 ns` for `n` and `ac`, `800 ns`, `1600 ns` or `3200 ns` for `ax`.
+        guard_interval: Spanned<GuardInterval> = "800 ns",
         /// One-way delay of a small frame on an idle channel, its airtime included.
         delay: Duration = "1 ms",
         /// Highest rate of one station, whatever its signal. Without it, the signal alone decides.
@@ -285,7 +292,8 @@ record! {
     AccessRecord {
         /// How stations choose their rates.
         rate_control: RateControl = "minstrel",
-        /// Whether frames for one receiver are sent together (A-MPDU). Without it: where the standard can, `n` and `ac`.
+        /// Whether frames for one receiver are sent together (A-MPDU). Without it: where the standard can, `n`, `ac`
+        /// and `ax`.
         aggregation: Option<Spanned<bool>>,
         /// How stations sleep between beacons. Without it, they never do.
         power_save: Option<PowerSaveRecord>,
@@ -1419,8 +1427,20 @@ record! {
 choice!(WifiStandard, "Wi-Fi standard", {
     "g" => Self::G, "IEEE 802.11g, 2.4 GHz";
     "a" => Self::A, "IEEE 802.11a, 5 GHz";
-    "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
-    "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
+    "n" => Self::N, "IEEE 802.11n, 2.4 or 5 GHz by the channels of its radio units";
+    "ac" => Self::Ac, "IEEE 802.11ac, 5 GHz";
+    "ax" => Self::Ax, "IEEE 802.11ax, 2.4 or 5 GHz by the channels of its radio units";
+});
+choice!(ChannelWidth, "channel width", {
+    "20 MHz" => Self::Mhz20, "one channel";
+    "40 MHz" => Self::Mhz40, "two channels, from `n` on";
+    "80 MHz" => Self::Mhz80, "four channels at 5 GHz, from `ac` on";
+});
+choice!(GuardInterval, "guard interval", {
+    "400 ns" => Self::Ns400, "the short one of `n` and `ac`";
+    "800 ns" => Self::Ns800, "the usual one";
+    "1600 ns" => Self::Ns1600, "the longer one of `ax`";
+    "3200 ns" => Self::Ns3200, "the longest one of `ax`";
 });
 choice!(ExchangeWord, "kind of exchange", {
     "times" => Self::Times, "handovers take the times of their phases";

@@ -1,6 +1,6 @@
 //! Losses of walls: figures, or the names of materials.
 
-use cotorra_graph::WifiStandard;
+use cotorra_graph::Band;
 use serde_json::{Value as Json, json};
 
 use crate::yaml::{
@@ -38,12 +38,12 @@ const MATERIALS: [Material; 5] = [
 ];
 
 impl WallLoss {
-    /// Returns the loss in the band of a standard, dB.
-    pub fn db(self, standard: WifiStandard) -> f64 {
-        match (self, standard) {
+    /// Returns the loss in a band, dB.
+    pub fn db(self, band: Band) -> f64 {
+        match (self, band) {
             (Self::Figure(db), _) => db,
-            (Self::Material(Material { losses_db: [db, _], .. }), WifiStandard::G | WifiStandard::N) => db,
-            (Self::Material(Material { losses_db: [_, db], .. }), WifiStandard::A | WifiStandard::Ac) => db,
+            (Self::Material(Material { losses_db: [db, _], .. }), Band::Ghz2) => db,
+            (Self::Material(Material { losses_db: [_, db], .. }), Band::Ghz5) => db,
         }
     }
 }
@@ -117,8 +117,8 @@ mod tests {
             WallLoss::decode(&Node::from_json(&json!(text)), &mut sink)
         };
         let brick = read("brick").unwrap();
-        assert_eq!([WifiStandard::N, WifiStandard::Ac].map(|standard| brick.db(standard)), [3.7, 4.1]);
-        assert_eq!(read("3.4 dB").unwrap().db(WifiStandard::A), 3.4);
+        assert_eq!([Band::Ghz2, Band::Ghz5].map(|band| brick.db(band)), [3.7, 4.1]);
+        assert_eq!(read("3.4 dB").unwrap().db(Band::Ghz5), 3.4);
         for wrong in ["brik", "3.4", "-3 dB", "dB", ""] {
             assert_eq!(read(wrong), None, "{wrong}");
         }

@@ -179,7 +179,7 @@ fn each_bound_on_a_figure_is_judged_and_what_is_not_measured_fails() {
             "answered >= 80 % PASS",
             "queue:A-edge max <= 100 packets PASS",
             "cost <= 1 PASS",
-            "radio 802.11n at 2.4 GHz PASS",
+            "radio 802.11n PASS",
             "area -",
         ]
     );

@@ -90,6 +90,9 @@ pub fn wireless() -> WirelessNetwork {
     let ms = Duration::from_millis;
     WirelessNetwork {
         standard: WifiStandard::N,
+        width: Default::default(),
+        streams: 1,
+        guard_interval: Default::default(),
         delay: ms(1),
         rate: None,
         loss: Loss::None,

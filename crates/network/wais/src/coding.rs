@@ -1,6 +1,6 @@
 //! Encodes figures for answers: radio figures by IEEE 802.11-2016, places by RFC 6225.
 
-use cotorra_graph::{Dbm, GeoOrigin, Position, WifiStandard};
+use cotorra_graph::{Band, Dbm, GeoOrigin, Position, WifiStandard};
 
 use crate::types::GeoLocation;
 
@@ -24,13 +24,13 @@ pub(crate) fn share(share: f64) -> u8 {
 /// Returns the global operating class of a 20 MHz channel (IEEE 802.11-2016, Table E-4); `None` for a channel without
 /// one.
 pub(crate) fn operating_class(standard: WifiStandard, channel: u8) -> Option<u8> {
-    match (standard, channel) {
-        (WifiStandard::G | WifiStandard::N, 1..=13) => Some(81),
-        (WifiStandard::G | WifiStandard::N, 14) => Some(82),
-        (WifiStandard::A | WifiStandard::Ac, 36..=48) => Some(115),
-        (WifiStandard::A | WifiStandard::Ac, 52..=64) => Some(118),
-        (WifiStandard::A | WifiStandard::Ac, 100..=144) => Some(121),
-        (WifiStandard::A | WifiStandard::Ac, 149..=177) => Some(125),
+    match (standard.band(channel), channel) {
+        (Band::Ghz2, 1..=13) => Some(81),
+        (Band::Ghz2, 14) => Some(82),
+        (Band::Ghz5, 36..=48) => Some(115),
+        (Band::Ghz5, 52..=64) => Some(118),
+        (Band::Ghz5, 100..=144) => Some(121),
+        (Band::Ghz5, 149..=177) => Some(125),
         _ => None,
     }
 }
@@ -42,6 +42,7 @@ pub(crate) fn phy_type(standard: WifiStandard) -> u8 {
         WifiStandard::G => 6,
         WifiStandard::N => 7,
         WifiStandard::Ac => 9,
+        WifiStandard::Ax => 14,
     }
 }
 

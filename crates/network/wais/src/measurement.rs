@@ -132,7 +132,7 @@ impl Measured<'_> {
 
 /// Returns the properties of an emulated access point as seen from the serving one.
 fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
-    use cotorra_graph::{WifiStandard::Ac, WifiStandard::N};
+    use cotorra_graph::WifiStandard::Ac;
     let same = unit.network == serving.network;
     BssidInfo {
         // Access points of the same network are reachable. For others this is unknown.
@@ -147,7 +147,7 @@ fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
             immediate_back: false,
         },
         mobility_domain: same && unit.fast_transition,
-        high_throughput: matches!(unit.standard, N | Ac),
+        high_throughput: unit.standard.aggregates(),
         very_high_throughput: unit.standard == Ac,
         ftm: false,
     }

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
     Access, Contention, Edca, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence, Probability,
-    RateControl, WifiStandard, WirelessNetwork,
+    RateControl, WirelessNetwork,
 };
 
 use super::builder::{Builder, each};
@@ -29,7 +29,7 @@ impl Builder<'_> {
     }
 
     fn edca(&mut self, record: &WirelessRecord) -> Option<Edca> {
-        let can_aggregate = matches!(record.standard, WifiStandard::N | WifiStandard::Ac);
+        let can_aggregate = record.standard.aggregates();
         match &record.access.value {
             Either::Short(AccessWord::Turns) => None,
             Either::Short(AccessWord::Edca) => Some(Edca {
@@ -43,7 +43,7 @@ impl Builder<'_> {
                 {
                     self.sink
                         .error(&aggregation.span, "802.11a and g do not aggregate frames")
-                        .help("leave `aggregation` out, or write `standard: n` or `ac`");
+                        .help("leave `aggregation` out, or write `standard: n`, `ac` or `ax`");
                 }
                 let aggregation = settings.aggregation.as_ref().map_or(can_aggregate, |on| on.value);
                 let power_save = match &settings.power_save {

@@ -3,10 +3,10 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, Capacity, DomainId, Fading, Frames, Gateway, HandoverTimes, HostAddress, Loss,
-    Machine, Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached,
-    RealServer, Roaming, Robot, RobotClock, ScanVisits, Server, Shadowing, Walls, WifiStandard,
-    WirelessNetwork,
+    AgentId, BackgroundScan, Band, Capacity, ChannelWidth, DomainId, Fading, Frames, Gateway, GuardInterval,
+    HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position,
+    Probability, RadioUnit, Reached, RealServer, Roaming, Robot, RobotClock, ScanVisits, Server, Shadowing,
+    Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -17,7 +17,7 @@ use crate::{
     records::{
         AccessWord, ExchangeRecord, ExchangeWord, FadingRecord, FadingWord, GatewayRecord, MachineRecord,
         NodeRecord, PathLossRecord, RoamingRecord, ScanRecord, ServerRecord, SupplicantRecord, WalkRecord,
-        WallsRecord, WirelessRecord,
+        WallsRecord, WifiWord, WirelessRecord,
     },
     walls::WallLoss,
     yaml::{
@@ -57,12 +57,16 @@ impl Builder<'_> {
         };
         let walls = match &record.walls {
             None => None,
-            Some(walls) => Some(self.walls(walls, record.standard, map)?),
+            Some(walls) => Some(self.walls(walls, self.band(ssid, record.standard), map)?),
         };
+        self.check_rates(record);
         let handover = &record.handover;
         let (scan, visits) = self.scan(&handover.scan);
         Some(WirelessNetwork {
             standard: record.standard,
+            width: record.width.value,
+            streams: record.streams.value,
+            guard_interval: record.guard_interval.value,
             delay: record.delay,
             rate: record.rate,
             loss,
@@ -97,6 +101,61 @@ impl Builder<'_> {
             gap: record.gap,
             access: self.access(ssid, record)?,
         })
+    }
+
+    /// Returns the band of a network's radio units.
+    fn band(&self, ssid: &Spanned<String>, standard: WifiStandard) -> Band {
+        let mut channels = self.record.nodes.0.iter().filter_map(|(_, node)| match node {
+            NodeRecord::RadioUnit(unit) => {
+                let is_here = unit.network.as_ref().is_none_or(|network| network.value == ssid.value);
+                is_here.then_some(unit.channel.value)
+            }
+            _ => None,
+        });
+        standard.band(channels.next().unwrap_or(1))
+    }
+
+    /// Checks that the standard has the width, streams and guard interval of a network, and its software, too.
+    fn check_rates(&mut self, record: &WirelessRecord) {
+        use GuardInterval::{Ns400, Ns800, Ns1600, Ns3200};
+        let (widest, streams, guard_intervals): (_, _, &[_]) = match record.standard {
+            WifiStandard::G | WifiStandard::A => (ChannelWidth::Mhz20, 1, &[Ns800]),
+            WifiStandard::N => (ChannelWidth::Mhz40, 2, &[Ns400, Ns800]),
+            WifiStandard::Ac => (ChannelWidth::Mhz80, 2, &[Ns400, Ns800]),
+            WifiStandard::Ax => (ChannelWidth::Mhz80, 2, &[Ns800, Ns1600, Ns3200]),
+        };
+        let name = record.standard.described();
+        if record.width.value > widest {
+            self.sink
+                .error(
+                    &record.width.span,
+                    format!("{name} has no channels of {} MHz", record.width.value.mhz()),
+                )
+                .help(format!("write at most `{} MHz`", widest.mhz()));
+        }
+        if !(1..=streams).contains(&record.streams.value) {
+            self.sink
+                .error(&record.streams.span, format!("{} streams with {name}", record.streams.value))
+                .help(if streams == 1 { "write 1, or `standard: n`, `ac` or `ax`" } else { "write 1 or 2" });
+        }
+        if !guard_intervals.contains(&record.guard_interval.value) {
+            let written: Vec<_> = guard_intervals.iter().map(|its| format!("`{} ns`", its.ns())).collect();
+            self.sink
+                .error(
+                    &record.guard_interval.span,
+                    format!("{name} has no guard interval of {} ns", record.guard_interval.value.ns()),
+                )
+                .help(format!("write {}", written.join(" or ")));
+        }
+        let is_usual = record.standard != WifiStandard::Ax
+            && record.width.value == ChannelWidth::Mhz20
+            && record.streams.value == 1
+            && record.guard_interval.value == Ns800;
+        if record.wifi.value != WifiWord::Model && !is_usual {
+            self.sink
+                .error(&record.wifi.span, "hostapd with settings that only the model has")
+                .help("leave `width`, `streams` and `guard_interval` out, and write `standard: n` or `ac`");
+        }
     }
 
     /// Returns how a network's handovers are frames on the air; `Some(None)` if they are not.
@@ -143,14 +202,14 @@ impl Builder<'_> {
     fn walls(
         &mut self,
         record: &Spanned<Either<WallLoss, WallsRecord>>,
-        standard: WifiStandard,
+        band: Band,
         map: Option<&Arc<OccupancyGrid>>,
     ) -> Option<Walls> {
         let (each, place, at_most) = match &record.value {
             Either::Short(each) => (each, &record.span, None),
             Either::Long(long) => (&long.each.value, &long.each.span, long.at_most.as_ref()),
         };
-        let loss_db = each.db(standard);
+        let loss_db = each.db(band);
         if loss_db > MOST_OF_A_WALL_DB {
             self.sink.error(place, format!("a wall that takes {loss_db} dB away")).help(format!(
                 "write at most {MOST_OF_A_WALL_DB} dB, as a shielded room has; a brick wall has about 4 dB"

@@ -246,14 +246,15 @@ impl PlannedNetwork<'_> {
     fn add_units(&self, plan: &mut Plan) -> Result<(), PlanError> {
         let (ssid, members) = (self.ssid()?, self.members());
         for (node, unit) in self.units() {
-            let band = match self.network.standard {
-                WifiStandard::G | WifiStandard::N => Band::Ghz2,
-                WifiStandard::A | WifiStandard::Ac => Band::Ghz5,
+            let band = match self.network.standard.band(unit.channel) {
+                graph::Band::Ghz2 => Band::Ghz2,
+                graph::Band::Ghz5 => Band::Ghz5,
             };
             let generation = match self.network.standard {
                 WifiStandard::A | WifiStandard::G => Generation::Ofdm,
                 WifiStandard::N => Generation::Wifi4,
-                WifiStandard::Ac => Generation::Wifi5,
+                // The testbed file has no 802.11ax with this software.
+                WifiStandard::Ac | WifiStandard::Ax => Generation::Wifi5,
             };
             let channel = Channel::new(band, unit.channel, Width::Mhz20)
                 .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;

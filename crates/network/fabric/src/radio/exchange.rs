@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use cotorra_graph::{Direction, Timestamp, WifiStandard};
+use cotorra_graph::{Direction, Timestamp};
 
 use super::{
     Path, PhyRate, Radio, RadioUnitIndex, StationIndex,
@@ -126,10 +126,7 @@ impl Radio {
         let id = self.exchanges.count;
         self.exchanges.sent.insert(id, Sent { robot, unit, message });
         // The lowest of the rates that stations must have: DSSS at 2.4 GHz, OFDM above.
-        let hundreds_of_kbps = match self.networks[self.units[unit].network].spec.standard {
-            WifiStandard::G | WifiStandard::N => 10,
-            WifiStandard::A | WifiStandard::Ac => 60,
-        };
+        let hundreds_of_kbps = if self.units[unit].frequency_mhz < 3000 { 10 } else { 60 };
         let rate = PhyRate::legacy(hundreds_of_kbps, false).expect("the lowest rates are rates");
         let transmission = Transmission {
             id,

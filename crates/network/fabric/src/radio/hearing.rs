@@ -39,7 +39,7 @@ impl Radio {
         fading_db: f64,
     ) -> [Reception; 2] {
         let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
-        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 + fading_db - spec.noise_floor.0))
+        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 + fading_db - spec.noise().0))
     }
 
     /// Returns the receptions of a frame at the radio unit and at the robot now, with fading if the network has any.

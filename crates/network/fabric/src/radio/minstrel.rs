@@ -1,10 +1,11 @@
 //! Rate adaptation by Minstrel-HT, the default of Linux's mac80211. It knows only which of its own frames were
 //! acknowledged.
 //!
-//! The algorithm is that of Linux 6.18 (net/mac80211/rc80211_minstrel_ht.c), with its integers, for one group of rates: one
-//! spatial stream at 20 MHz. Every 50 ms it filters each mode's share of acknowledged MPDUs, estimates throughputs, and
-//! ranks the modes. In between, [`sampling`] chooses a mode to try every 20 ms. Linux's switch to fewer streams after a
-//! series of losses has no counterpart here.
+//! The algorithm is that of Linux 6.18 (net/mac80211/rc80211_minstrel_ht.c), with its integers. A group has the modes of one
+//! number of spatial streams. Linux has further groups for narrower channels and other guard intervals, which stations do not
+//! use here. It has none for 802.11ax, whose cards choose the rates themselves: the rules are the same here. Every 50 ms it
+//! filters each mode's share of acknowledged MPDUs, estimates throughputs, and ranks the modes. In between, [`sampling`]
+//! chooses a mode to try every 20 ms. Linux's switch to fewer streams after a series of losses has no counterpart here.
 
 mod sampling;
 
@@ -17,7 +18,7 @@ use cotorra_graph::Timestamp;
 use cotorra_numbers::Draws;
 
 use self::sampling::Samples;
-use super::phy::Phy;
+use super::phy::{Mode, Phy};
 
 /// Entries of a chain: IEEE80211_TX_RATE_TABLE_SIZE, and the limit of most cards.
 const STAGES: usize = 4;
@@ -92,6 +93,8 @@ pub(super) struct Tried {
 #[derive(Debug)]
 pub(super) struct Minstrel {
     modes: Vec<ModeStatistics>,
+    /// Modes of one number of streams.
+    group: usize,
     aggregates: bool,
     /// Frames and aggregates since the last update, and the MPDUs in them.
     frames: u32,
@@ -124,8 +127,8 @@ impl Minstrel {
     /// Creates the rate control for a new receiver. It begins with the slowest mode. `rng` decides the order of samples.
     pub(super) fn new(now: Timestamp, phy: &Phy, rng: Draws) -> Self {
         let aggregates = phy.aggregates();
-        let statistics = |bits_per_symbol| ModeStatistics {
-            duration_ns: duration_ns(aggregates, bits_per_symbol),
+        let statistics = |mode: &Mode| ModeStatistics {
+            duration_ns: duration_ns(aggregates, mode),
             sent: 0,
             acknowledged: 0,
             was_used: false,
@@ -133,13 +136,14 @@ impl Minstrel {
             former: 0,
         };
         let mut minstrel = Self {
-            modes: phy.modes().iter().map(|mode| statistics(mode.bits_per_symbol())).collect(),
+            modes: phy.modes().iter().map(statistics).collect(),
+            group: phy.modes().len() / phy.streams(),
             aggregates,
             frames: 0,
             mpdus: 0,
             mpdus_per_frame: ONE,
             table: [Stage { mode: 0, attempts: 1, rts: false }; STAGES],
-            samples: Samples::new(rng),
+            samples: Samples::new(rng, phy.modes().len(), phy.streams()),
             updated: now,
             sample_due: now,
         };
@@ -192,9 +196,12 @@ impl Minstrel {
         let mut best_by_throughput = [0; STAGES];
         let mut of_faster = 0;
         for i in (0..self.modes.len()).rev() {
+            if (i + 1).is_multiple_of(self.group) {
+                of_faster = 0;
+            }
             let mode = &mut self.modes[i];
             mode.update();
-            // An unused mode is as reliable as any faster one.
+            // An unused mode is as reliable as any faster one of its group.
             if mode.was_used {
                 of_faster = of_faster.max(mode.probability);
             } else {
@@ -205,7 +212,10 @@ impl Minstrel {
             }
         }
         let best = best_by_throughput[0];
-        let reliable = self.most_reliable(best);
+        // The last attempts have fewer streams than the best mode, if any of those modes is of use.
+        let fewer = (best >= self.group).then(|| self.most_reliable(best, self.group));
+        let reliable = fewer.filter(|mode| self.throughput(*mode) > 0);
+        let reliable = reliable.unwrap_or_else(|| self.most_reliable(best, self.modes.len()));
 
         let [first, second, third, _] = best_by_throughput;
         let stages = [(first, false), (second, true), (third, true), (reliable, true)];
@@ -224,11 +234,11 @@ impl Minstrel {
         }
     }
 
-    /// Returns the mode for the last attempts: the one with the highest throughput of those with more than 75 %
-    /// probability, otherwise the most probable one.
-    fn most_reliable(&self, best: usize) -> usize {
+    /// Returns the mode for the last attempts, of the first modes: the one with the highest throughput of those with more
+    /// than 75 % probability, otherwise the most probable one.
+    fn most_reliable(&self, best: usize, modes: usize) -> usize {
         let mut chosen = 0;
-        for (i, mode) in self.modes.iter().enumerate() {
+        for (i, mode) in self.modes[..modes].iter().enumerate() {
             let is_better = if i > best && mode.probability < self.modes[best].probability {
                 false
             } else if mode.probability > 75 * ONE / 100 {
@@ -305,10 +315,11 @@ impl ModeStatistics {
 }
 
 /// Returns the airtime of an average packet, ns: in an aggregate for HT and VHT, else with preamble and SIFS.
-fn duration_ns(aggregates: bool, bits_per_symbol: u32) -> u32 {
+fn duration_ns(aggregates: bool, mode: &Mode) -> u32 {
+    let bits_per_symbol = mode.bits_per_symbol();
     if aggregates {
         let bits = 8 * PACKET_BYTES * ROUNDED_PACKETS;
-        4000 * bits.div_ceil(bits_per_symbol) / ROUNDED_PACKETS
+        mode.symbol_ns() * bits.div_ceil(bits_per_symbol) / ROUNDED_PACKETS
     } else {
         // Linux counts service bits and tail as a tenth, and rounds down.
         let tenths = 16 + 80 * (PACKET_BYTES + 4) + 6;

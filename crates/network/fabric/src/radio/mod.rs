@@ -46,9 +46,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
-    LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueLimit, RadioContext,
-    Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
+    AccessPoint, Attachment, Band, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy,
+    HardwareGraph, LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueLimit,
+    RadioContext, Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
 use cotorra_numbers::Draws;
 
@@ -233,7 +233,10 @@ impl Radio {
         let mut network_by_ssid = BTreeMap::new();
         for (ssid, spec) in &graph.wireless {
             network_by_ssid.insert(ssid.as_str(), networks.len());
-            let network = Network::new(ssid, spec)
+            let mut units = graph.radio_units().filter(|(_, unit)| unit.network == *ssid);
+            // A network's radio units are in one band.
+            let channel = units.next().map_or(1, |(_, unit)| unit.channel);
+            let network = Network::new(ssid, spec, spec.standard.band(channel))
                 .map_err(|error| GraphError::Conditions { link: ssid.clone(), error })?;
             networks.push(network);
         }
@@ -803,8 +806,9 @@ impl Network {
         self.spec.access.contends()
     }
 
-    fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, FabricError> {
-        let phy = Phy::of(spec.standard);
+    /// Creates a network whose radio units are in a band.
+    fn new(ssid: &str, spec: &WirelessNetwork, band: Band) -> Result<Self, FabricError> {
+        let phy = Phy::of(spec, band);
         Ok(Self {
             phy,
             sensitivity: sensitivity(spec),

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::phy::{Coding, Constellation, Mode, OFDM, erfc, ln_bit_success};
+use super::phy::{Constellation, MCS, Mode, OFDM, erfc, ln_bit_success};
 
 /// A PHY rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -262,12 +262,12 @@ impl PhyRate {
         let constellation = match self.0 {
             Kind::Dsss { .. } => return self,
             Kind::Ofdm(at) => OFDM[usize::from(at)].constellation(),
-            Kind::Ht(mimo) | Kind::Vht(mimo) => mimo.modulation().0,
+            Kind::Ht(mimo) | Kind::Vht(mimo) => MCS[usize::from(mimo.mcs)].0,
         };
         Self(Kind::Ofdm(match constellation {
             Constellation::Bpsk => 0,
             Constellation::Qpsk => 2,
-            Constellation::Qam16 | Constellation::Qam64 | Constellation::Qam256 => 4,
+            Constellation::Qam16 | Constellation::Qam64 | Constellation::Qam256 | Constellation::Qam1024 => 4,
         }))
     }
 }
@@ -321,38 +321,11 @@ fn wrong_bits(distances: &[(f64, f64)], snr: f64) -> f64 {
 }
 
 impl Mimo {
-    fn modulation(self) -> (Constellation, Coding) {
-        match self.mcs {
-            0 => (Constellation::Bpsk, Coding::Half),
-            1 => (Constellation::Qpsk, Coding::Half),
-            2 => (Constellation::Qpsk, Coding::ThreeQuarters),
-            3 => (Constellation::Qam16, Coding::Half),
-            4 => (Constellation::Qam16, Coding::ThreeQuarters),
-            5 => (Constellation::Qam64, Coding::TwoThirds),
-            6 => (Constellation::Qam64, Coding::ThreeQuarters),
-            7 => (Constellation::Qam64, Coding::FiveSixths),
-            8 => (Constellation::Qam256, Coding::ThreeQuarters),
-            _ => (Constellation::Qam256, Coding::FiveSixths),
-        }
-    }
-
     /// Returns the coded bits in a symbol, and the numerator and denominator of the code's rate.
     fn coded(self) -> (u32, u32, u32) {
-        let (constellation, coding) = self.modulation();
-        let bits = match constellation {
-            Constellation::Bpsk => 1,
-            Constellation::Qpsk => 2,
-            Constellation::Qam16 => 4,
-            Constellation::Qam64 => 6,
-            Constellation::Qam256 => 8,
-        };
-        let (k, n) = match coding {
-            Coding::Half => (1, 2),
-            Coding::TwoThirds => (2, 3),
-            Coding::ThreeQuarters => (3, 4),
-            Coding::FiveSixths => (5, 6),
-        };
-        (bits * self.width.data_subcarriers() * u32::from(self.streams), k, n)
+        let (constellation, coding) = MCS[usize::from(self.mcs)];
+        let (k, n) = coding.rate();
+        (constellation.bits() * self.width.data_subcarriers() * u32::from(self.streams), k, n)
     }
 
     fn has_whole_bits(self) -> bool {
@@ -367,7 +340,7 @@ impl Mimo {
     }
 
     fn mode(self) -> Mode {
-        let (constellation, coding) = self.modulation();
+        let (constellation, coding) = MCS[usize::from(self.mcs)];
         Mode::new(self.bits_per_symbol(), constellation, coding)
     }
 
@@ -500,7 +473,7 @@ mod tests {
     fn the_models_own_modes_have_the_same_errors_and_airtimes() {
         use crate::radio::phy::{Phy, Reception};
         use cotorra_graph::WifiStandard;
-        let phy = Phy::of(WifiStandard::N);
+        let phy = Phy::usual(WifiStandard::N);
         for mcs in 0..8 {
             let rate = PhyRate::ht(mcs, ChannelWidth::Mhz20, false).unwrap();
             // Header, QoS control, LLC and check sequence in place of the Ethernet header.

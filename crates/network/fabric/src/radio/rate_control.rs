@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn a_chain_goes_on_until_something_is_acknowledged() {
-        let phy = Phy::of(WifiStandard::N);
+        let phy = Phy::usual(WifiStandard::N);
         let reception = Reception::new(phy, 40.0);
         let mut rates = RateControl::minstrel(Draws::new(1, "rates"));
         // It begins with a sample of the next mode, and the slowest mode twice in each of three entries.
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn an_association_begins_anew() {
-        let phy = Phy::of(WifiStandard::N);
+        let phy = Phy::usual(WifiStandard::N);
         let reception = Reception::new(phy, 40.0);
         let mut rates = RateControl::minstrel(Draws::new(1, "rates"));
         for ms in 0..500 {

@@ -44,7 +44,7 @@ impl Policy {
                 time_to_trigger: network.time_to_trigger,
             }),
             Roaming::Supplicant(scans) => Self::Supplicant(
-                Supplicant::new(scans, network.standard, network.noise_floor),
+                Supplicant::new(scans, network),
                 Draws::new(seed, &format!("beacons {robot}")),
             ),
         }

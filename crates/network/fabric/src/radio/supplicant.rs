@@ -9,7 +9,7 @@ mod decision;
 
 use std::time::Duration;
 
-use cotorra_graph::{BackgroundScan, Dbm, Timestamp, WifiStandard};
+use cotorra_graph::{BackgroundScan, Dbm, Timestamp, WirelessNetwork};
 
 use self::{
     average::{Average, Side},
@@ -48,10 +48,11 @@ pub(super) struct Supplicant {
 
 impl Supplicant {
     /// Creates the supplicant of a station, before [`Self::attached`].
-    pub(super) fn new(scans: BackgroundScan, standard: WifiStandard, noise_floor: Dbm) -> Self {
+    pub(super) fn new(scans: BackgroundScan, network: &WirelessNetwork) -> Self {
+        let WirelessNetwork { standard, width, noise_floor, .. } = *network;
         Self {
             scans,
-            rules: Rules { standard, noise: level(noise_floor), threshold: scans.threshold.0 },
+            rules: Rules { standard, width, noise: level(noise_floor), threshold: scans.threshold.0 },
             average: Average::default(),
             pace: Pace::Short,
             short_scans: 0,
@@ -180,7 +181,7 @@ mod tests {
     }
 
     fn supplicant(scans: BackgroundScan) -> Supplicant {
-        Supplicant::new(scans, WifiStandard::N, Dbm(-95.0))
+        Supplicant::new(scans, &cotorra_graph_testing::wireless())
     }
 
     /// Runs a station that hears ten beacons a second, with a signal that follows the time in ms, and whose scans take no

@@ -503,8 +503,8 @@ impl Radio {
         let span = [sent.start, sent.data_ends];
         let receiver = Emitter::Foreign(to);
         if sent.overlaps.is_empty() {
-            let noise_floor = self.networks[self.network_of(receiver)].spec.noise_floor;
-            let noise_db = 10.0 * noise_floor.milliwatts().log10();
+            let noise = self.networks[self.network_of(receiver)].spec.noise();
+            let noise_db = 10.0 * noise.milliwatts().log10();
             return vec![Part { span, quality: Some(signal.0 - noise_db) }];
         }
         let Load::Foreign(Try { rate, .. }) = sent.load else { return Vec::new() };

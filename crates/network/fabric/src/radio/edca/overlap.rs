@@ -83,7 +83,7 @@ impl Radio {
                     other.emitter != receiver && !turns
                 });
                 let disturbing: f64 = others().map(|other| power(other).milliwatts()).sum();
-                let noise_db = 10.0 * (spec.noise_floor.milliwatts() + disturbing).log10();
+                let noise_db = 10.0 * (spec.noise().milliwatts() + disturbing).log10();
                 Part { span, quality: listens.then_some(signal.0 - noise_db) }
             })
             .collect()

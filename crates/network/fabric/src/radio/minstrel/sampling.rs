@@ -3,9 +3,9 @@
 
 use cotorra_numbers::Draws;
 
-use super::{super::phy::MAX_MODES, ModeStatistics, ONE};
+use super::{ModeStatistics, ONE};
 
-/// Modes of a group in Linux, and columns of its table of random orders.
+/// Modes of a group in Linux, and columns of its table of random orders. Groups of 802.11ax are larger.
 const GROUP: usize = 10;
 const COLUMNS: usize = 10;
 
@@ -26,33 +26,49 @@ enum Kind {
 /// Kinds of samples in turn.
 const TURNS: [Kind; 6] = [Kind::Next, Kind::Jump, Kind::Next, Kind::Jump, Kind::Next, Kind::Slow];
 
-const _: () = assert!(MAX_MODES <= GROUP);
-
 /// Modes to sample until the next update.
 #[derive(Debug)]
 pub(super) struct Samples {
-    /// Random orders of the modes, and the place in them.
-    orders: [[usize; GROUP]; COLUMNS],
-    place: usize,
+    /// Random orders of the modes of a group.
+    orders: Vec<Vec<usize>>,
+    /// Modes of a group.
+    group: usize,
+    /// By group, the place in the orders.
+    places: Vec<usize>,
+    /// The groups that sampled last.
+    next: usize,
+    jump: usize,
     turn: usize,
     /// By [`Kind`].
     waiting: [Waiting; 3],
 }
 
 impl Samples {
-    pub(super) fn new(mut rng: Draws) -> Self {
-        let orders = std::array::from_fn(|_| {
-            let mut order = [None; GROUP];
-            for mode in 0..GROUP {
-                let mut place = (mode + (rng.unit() * 256.0) as usize) % GROUP;
+    /// Creates it for so many modes in groups of equal size.
+    pub(super) fn new(mut rng: Draws, modes: usize, groups: usize) -> Self {
+        let group = modes / groups;
+        let size = group.max(GROUP);
+        let mut order = || {
+            let mut order = vec![None; size];
+            for mode in 0..size {
+                let mut place = (mode + (rng.unit() * 256.0) as usize) % size;
                 while order[place].is_some() {
-                    place = (place + 1) % GROUP;
+                    place = (place + 1) % size;
                 }
                 order[place] = Some(mode);
             }
-            order.map(|mode| mode.expect("each place has a mode"))
-        });
-        Self { orders, place: 0, turn: 0, waiting: Default::default() }
+            order.into_iter().flatten().collect()
+        };
+        let orders = (0..COLUMNS).map(|_| order()).collect();
+        Self {
+            orders,
+            group,
+            places: vec![0; groups],
+            next: 0,
+            jump: 0,
+            turn: 0,
+            waiting: Default::default(),
+        }
     }
 
     /// Returns the mode to sample now; `None` if none of the kind whose turn it is waits.
@@ -72,9 +88,15 @@ impl Samples {
         let next = &mut self.waiting[Kind::Next as usize];
         let mut kept = next.retain(|mode| ns(mode) < fast);
         while kept < WAITING {
-            let faster = (0..modes.len()).find(|mode| ns(*mode) < ns(best[0]));
-            next.0[kept] = faster.filter(|mode| !next.contains(*mode));
-            if next.0[kept].is_none() {
+            let groups = self.places.len();
+            let found = (0..groups).find_map(|_| {
+                self.next = (self.next + 1) % groups;
+                let mut of_group = self.next * self.group..(self.next + 1) * self.group;
+                let faster = of_group.find(|mode| ns(*mode) < ns(best[0]));
+                faster.filter(|mode| !next.contains(*mode))
+            });
+            next.0[kept] = found;
+            if found.is_none() {
                 break;
             }
             kept += 1;
@@ -93,8 +115,8 @@ impl Samples {
         }
     }
 
-    /// Draws a mode at random. Returns it if it is faster than all in use, keeps it if it is between them, and drops it
-    /// otherwise.
+    /// Draws a mode of each group at random, up to one that is faster than all in use, which it returns. It keeps those that
+    /// are between them, and drops the others.
     fn draw(
         &mut self,
         modes: &[ModeStatistics],
@@ -102,27 +124,40 @@ impl Samples {
         slow: u32,
         kept_slow: &mut usize,
     ) -> Option<usize> {
-        let has_room = *kept_slow < WAITING;
-        let slowest = if has_room { slow } else { fast };
-        let least = modes.iter().position(|mode| mode.duration_ns < slowest)?;
-        let mode = self.next_in_order(least, modes.len())?;
-        if modes[mode].duration_ns < fast {
-            return Some(mode).filter(|mode| !self.waiting[Kind::Jump as usize].contains(*mode));
-        }
-        let waiting = &mut self.waiting[Kind::Slow as usize];
-        if has_room && !waiting.contains(mode) && modes[mode].probability <= 95 * ONE / 100 {
-            waiting.0[*kept_slow] = Some(mode);
-            *kept_slow += 1;
+        let slowest = if *kept_slow < WAITING { slow } else { fast };
+        let groups = self.places.len();
+        for _ in 0..groups {
+            self.jump = (self.jump + 1) % groups;
+            let first = self.jump * self.group;
+            let of_group = &modes[first..first + self.group];
+            let least = of_group.iter().position(|mode| mode.duration_ns < slowest);
+            let mode = least.and_then(|least| self.next_in_order(self.jump, least));
+            let Some(mode) = mode.map(|mode| first + mode) else { continue };
+            if modes[mode].duration_ns < fast {
+                if !self.waiting[Kind::Jump as usize].contains(mode) {
+                    return Some(mode);
+                }
+                continue;
+            }
+            let waiting = &mut self.waiting[Kind::Slow as usize];
+            let has_room = *kept_slow < WAITING;
+            if has_room && !waiting.contains(mode) && modes[mode].probability <= 95 * ONE / 100 {
+                waiting.0[*kept_slow] = Some(mode);
+                *kept_slow += 1;
+            }
         }
         None
     }
 
-    /// Returns the next mode of the random orders within `least..modes`, if one of the next ten is.
-    fn next_in_order(&mut self, least: usize, modes: usize) -> Option<usize> {
-        for _ in 0..GROUP {
-            let mode = self.orders[self.place / GROUP][self.place % GROUP];
-            self.place = (self.place + 1) % (COLUMNS * GROUP);
-            if (least..modes).contains(&mode) {
+    /// Returns the next mode of a group's random orders from `least` on, if one of the next is, counted from the group's
+    /// first.
+    fn next_in_order(&mut self, group: usize, least: usize) -> Option<usize> {
+        let size = self.orders[0].len();
+        for _ in 0..size {
+            let place = self.places[group];
+            let mode = self.orders[place / size][place % size];
+            self.places[group] = (place + 1) % (COLUMNS * size);
+            if (least..self.group).contains(&mode) {
                 return Some(mode);
             }
         }

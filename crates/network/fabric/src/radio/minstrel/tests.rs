@@ -1,6 +1,6 @@
 //! Behaviour against the error rates of [`Reception`], in virtual time.
 
-use cotorra_graph::WifiStandard;
+use cotorra_graph::{Band, WifiStandard, WirelessNetwork};
 
 use super::{super::phy::Reception, *};
 
@@ -23,7 +23,10 @@ struct Link {
 
 impl Link {
     fn new(standard: WifiStandard, snr_db: f64, aggregate: u32, seed: u64) -> Self {
-        let phy = Phy::of(standard);
+        Self::on(Phy::usual(standard), snr_db, aggregate, seed)
+    }
+
+    fn on(phy: &'static Phy, snr_db: f64, aggregate: u32, seed: u64) -> Self {
         Self {
             phy,
             minstrel: Minstrel::new(Timestamp::ZERO, phy, Draws::new(seed, "minstrel")),
@@ -46,7 +49,7 @@ impl Link {
             let mode = stage.mode;
             let mut tried = Tried { mode, sent: 0, acknowledged: 0 };
             for _ in 0..stage.attempts {
-                let us = self.phy.attempt_us(&self.phy.modes()[mode], BYTES * mpdus as usize);
+                let us = self.phy.attempt_ns(&self.phy.modes()[mode], BYTES * mpdus as usize) / 1000;
                 self.now = self.now + Duration::from_micros(us + 67);
                 let error_rate = self.reception.error_rate(mode, BYTES);
                 tried.sent += mpdus;
@@ -72,7 +75,7 @@ impl Link {
 
     /// Expected MPDUs/s in a mode.
     fn goodput(&self, mode: usize) -> f64 {
-        let us = self.phy.attempt_us(&self.phy.modes()[mode], BYTES * self.aggregate as usize) + 67;
+        let us = self.phy.attempt_ns(&self.phy.modes()[mode], BYTES * self.aggregate as usize) / 1000 + 67;
         1e6 * f64::from(self.aggregate) * (1.0 - self.reception.error_rate(mode, BYTES)) / us as f64
     }
 
@@ -100,7 +103,7 @@ impl Link {
 
 fn links(snr_db: f64, seeds: std::ops::Range<u64>) -> impl Iterator<Item = Link> {
     let kinds = STANDARDS.into_iter().flat_map(|standard| {
-        let aggregates: &[u32] = if Phy::of(standard).aggregates() { &[1, 16] } else { &[1] };
+        let aggregates: &[u32] = if Phy::usual(standard).aggregates() { &[1, 16] } else { &[1] };
         aggregates.iter().map(move |aggregate| (standard, *aggregate))
     });
     kinds.flat_map(move |(standard, aggregate)| {
@@ -121,6 +124,26 @@ fn adaptation(aggregate: u32, from_db: Option<f64>, to_db: f64) -> [f64; 2] {
     let mut times: Vec<f64> = (0..40).map(time).collect();
     times.sort_by(f64::total_cmp);
     [times[times.len() / 2], times[times.len() - 1]]
+}
+
+#[test]
+fn a_station_with_two_streams_finds_the_best_mode_of_both_groups() {
+    for standard in [WifiStandard::N, WifiStandard::Ac, WifiStandard::Ax] {
+        let network = WirelessNetwork { standard, streams: 2, ..cotorra_graph_testing::wireless() };
+        let phy = Phy::of(&network, Band::Ghz5);
+        let group = phy.modes().len() / 2;
+        for (snr_db, seed) in
+            [2.0, 17.5, 45.0].into_iter().flat_map(|snr_db| (0..3).map(move |seed| (snr_db, seed)))
+        {
+            let mut link = Link::on(phy, snr_db, 16, seed);
+            link.adapt();
+            let has_two = link.minstrel.best() >= group;
+            assert!(snr_db != 45.0 || has_two, "{standard:?}");
+            assert!(snr_db != 2.0 || !has_two, "{standard:?}");
+            // The last attempts have one stream.
+            assert!(link.minstrel.table[STAGES - 1].mode < group || !has_two, "{standard:?}");
+        }
+    }
 }
 
 #[test]
@@ -224,7 +247,7 @@ fn attempts_fit_into_six_milliseconds() {
         (WifiStandard::A, 0, 1, [3, 3]),
         (WifiStandard::A, 7, 1, [5, 5]),
     ] {
-        let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(standard), Draws::new(1, "order"));
+        let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::usual(standard), Draws::new(1, "order"));
         minstrel.modes[mode].probability = ONE;
         minstrel.mpdus_per_frame = mpdus << SCALE;
         let attempts = [minstrel.attempts(mode, false), minstrel.attempts(mode, true)];
@@ -236,7 +259,7 @@ fn attempts_fit_into_six_milliseconds() {
 
 #[test]
 fn throughput_counts_from_ten_to_ninety_percent() {
-    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), Draws::new(1, "order"));
+    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::usual(WifiStandard::N), Draws::new(1, "order"));
     let mut at = |percent: i32, mpdus: i32| {
         minstrel.modes[7].probability = percent * ONE / 100;
         minstrel.mpdus_per_frame = mpdus << SCALE;
@@ -260,7 +283,7 @@ fn the_filter_follows_a_step_within_three_updates() {
     }
     assert_eq!(FILTER.iter().sum::<i32>(), ONE);
 
-    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), Draws::new(1, "order"));
+    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::usual(WifiStandard::N), Draws::new(1, "order"));
     let mode = &mut minstrel.modes[3];
     let mut after = |acknowledged| {
         (mode.sent, mode.acknowledged) = (10, acknowledged);

@@ -1,10 +1,10 @@
 //! Whether a radio unit that a scan found is better enough to change to it: the rules of wpa_supplicant 2.11
 //! (`wpa_supplicant_need_to_roam_within_ess` in `wpa_supplicant/events.c`, `wpas_get_est_tpt` in `wpa_supplicant/scan.c`).
 //!
-//! All radio units of a network are of one standard, and thus in one band and 20 MHz wide. The rules for other bands and
-//! widths do not matter here.
+//! All radio units of a network are in one band, of one standard and one width. The rules for other bands do not matter
+//! here.
 
-use cotorra_graph::WifiStandard;
+use cotorra_graph::{ChannelWidth, WifiStandard};
 
 /// A signal-to-noise ratio above which a station looks for nothing better, dB.
 const GREAT_SNR: i32 = 25;
@@ -35,25 +35,29 @@ const OFDM_BELOW: [(i32, i32); 18] = [
 /// Rate of 802.11a/g above all of them, kbit/s.
 const OFDM_KBPS: i32 = 54_000;
 
-/// Signal-to-noise ratios, dB, from which a 20 MHz channel has a rate, kbit/s. 802.11n has all but the last.
-const VHT_FROM: [(i32, i32); 10] = [
-    (0, 0),
-    (2, 6500),
-    (5, 13_000),
-    (9, 19_500),
-    (11, 26_000),
-    (15, 39_000),
-    (18, 52_000),
-    (20, 58_500),
-    (25, 65_000),
-    (29, 78_000),
+/// Signal-to-noise ratios, dB, from which a 20 MHz channel has the rates by MCS. A doubled width needs 3 dB more.
+const FROM: [i32; 12] = [2, 5, 9, 11, 15, 18, 20, 25, 29, 31, 34, 36];
+/// Rates of 20, 40 and 80 MHz, kbit/s. 802.11n has the first eight.
+const VHT_KBPS: [&[i32]; 3] = [
+    &[6500, 13_000, 19_500, 26_000, 39_000, 52_000, 58_500, 65_000, 78_000],
+    &[13_500, 27_000, 40_500, 54_000, 81_000, 108_000, 121_500, 135_000, 162_000, 180_000],
+    &[29_300, 58_500, 87_800, 117_000, 175_500, 234_000, 263_300, 292_500, 351_000, 390_000],
 ];
-const HT_FROM: &[(i32, i32)] = VHT_FROM.split_at(9).0;
+const HT_MODES: usize = 8;
+const HE_KBPS: [&[i32]; 3] = [
+    &[8600, 17_200, 25_800, 34_400, 51_600, 68_800, 77_400, 86_000, 103_200, 114_700, 129_000, 143_400],
+    &[17_200, 34_400, 51_600, 68_800, 103_200, 137_600, 154_900, 172_100, 206_500, 229_400, 258_100, 286_800],
+    &[
+        36_000, 72_100, 108_100, 144_100, 216_200, 288_200, 324_300, 360_300, 432_400, 480_400, 540_400,
+        600_500,
+    ],
+];
 
 /// Facts for the decision, beside the two signals.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
     pub(super) standard: WifiStandard,
+    pub(super) width: ChannelWidth,
     /// Noise floor, dBm.
     pub(super) noise: i32,
     /// Threshold of the background scans, dBm.
@@ -103,21 +107,33 @@ impl Rules {
         let snr = level - self.noise;
         let ofdm = OFDM_BELOW.iter().find(|(below, _)| snr < *below);
         let ofdm = ofdm.map_or(OFDM_KBPS, |(_, mbps)| mbps * 1000);
+        // A station also has the rates of narrower channels, and knows those of one stream alone.
+        let widths = self.width.mhz().ilog2() as usize - 3;
+        let fastest = |kbps: [&[i32]; 3], modes: usize| {
+            let by_width = kbps.iter().zip(0..).take(widths);
+            let at_width = |(kbps, doublings): (&&[i32], i32)| {
+                interpolate(&kbps[..modes.min(kbps.len())], snr, 3 * doublings)
+            };
+            by_width.map(at_width).fold(ofdm, i32::max)
+        };
         match self.standard {
             WifiStandard::A | WifiStandard::G => ofdm,
-            WifiStandard::N => ofdm.max(interpolate(HT_FROM, snr)),
-            WifiStandard::Ac => ofdm.max(interpolate(&VHT_FROM, snr)),
+            WifiStandard::N => fastest(VHT_KBPS, HT_MODES),
+            WifiStandard::Ac => fastest(VHT_KBPS, FROM.len()),
+            WifiStandard::Ax => fastest(HE_KBPS, FROM.len()),
         }
     }
 }
 
-/// Returns the rate at a signal-to-noise ratio, between those of a table.
-fn interpolate(table: &[(i32, i32)], snr: i32) -> i32 {
-    match table.iter().rposition(|(from, _)| snr >= *from) {
+/// Returns the rate at a signal-to-noise ratio, between those of a table, which begins with nothing at 0 dB. Its ratios are
+/// `more_db` above those of 20 MHz.
+fn interpolate(kbps: &[i32], snr: i32, more_db: i32) -> i32 {
+    let from = |i: usize| if i == 0 { (0, 0) } else { (FROM[i - 1] + more_db, kbps[i - 1]) };
+    match (0..=kbps.len()).rev().find(|i| snr >= from(*i).0) {
         None => 0,
-        Some(last) if last + 1 == table.len() => table[last].1,
+        Some(last) if last == kbps.len() => from(last).1,
         Some(i) => {
-            let [(snr0, rate0), (snr1, rate1)] = [table[i], table[i + 1]];
+            let [(snr0, rate0), (snr1, rate1)] = [from(i), from(i + 1)];
             rate0 + (snr - snr0) * (rate1 - rate0) / (snr1 - snr0)
         }
     }
@@ -128,13 +144,13 @@ mod tests {
     use super::*;
 
     const fn rules(standard: WifiStandard, noise: i32) -> Rules {
-        Rules { standard, noise, threshold: -65.0 }
+        Rules { standard, width: ChannelWidth::Mhz20, noise, threshold: -65.0 }
     }
 
     #[test]
     fn throughput_grows_with_the_signal_to_noise_ratio() {
         let kbps = |standard, snr| rules(standard, -95).throughput_kbps(snr - 95);
-        use WifiStandard::{A, Ac, G, N};
+        use WifiStandard::{A, Ac, Ax, G, N};
         let at = [-3, 0, 3, 7, 10, 14, 20, 23, 27, 40];
         assert_eq!(at.map(|snr| kbps(G, snr)), at.map(|snr| kbps(A, snr)));
         let ofdm = [1000, 1000, 2000, 14_000, 24_000, 36_000, 54_000, 54_000, 54_000, 54_000];
@@ -144,9 +160,27 @@ mod tests {
         assert_eq!(at.map(|snr| kbps(N, snr)), ht);
         let vht = [1000, 1000, 8666, 16_250, 24_000, 36_000, 58_500, 62_400, 71_500, 78_000];
         assert_eq!(at.map(|snr| kbps(Ac, snr)), vht);
-        for standard in [G, N, Ac] {
+        // 8600 + 8600 / 3, and so on.
+        let he = [1000, 1000, 11_466, 21_500, 30_100, 47_300, 77_400, 82_560, 94_600, 143_400];
+        assert_eq!(at.map(|snr| kbps(Ax, snr)), he);
+        for standard in [G, N, Ac, Ax] {
             assert!((-10..50).all(|snr| kbps(standard, snr) <= kbps(standard, snr + 1)));
         }
+    }
+
+    #[test]
+    fn wide_channels_are_faster_where_the_signal_is_strong() {
+        use ChannelWidth::{Mhz20, Mhz40, Mhz80};
+        let kbps = |width, snr| {
+            [WifiStandard::N, WifiStandard::Ac, WifiStandard::Ax]
+                .map(|standard| Rules { width, ..rules(standard, -95) }.throughput_kbps(snr - 95))
+        };
+        assert_eq!(kbps(Mhz20, 60), [65_000, 78_000, 143_400]);
+        assert_eq!(kbps(Mhz40, 60), [135_000, 180_000, 286_800]);
+        assert_eq!(kbps(Mhz80, 60)[1..], [390_000, 600_500]);
+        // At 5 dB, 40 MHz have 13,500 and 20 MHz 13,000 kbit/s; at 8 dB, 80 MHz have 29,300 and 40 MHz 27,000.
+        assert_eq!(kbps(Mhz40, 5)[0], 13_500);
+        assert_eq!(kbps(Mhz80, 8)[1], 29_300);
     }
 
     /// Returns the ranges of levels at which the same step up makes a station roam: first and last level, dBm, and the least
