@@ -399,7 +399,8 @@ class Network
         phy.SetErrorRateModel("ns3::NistErrorRateModel");
         std::ostringstream settings;
         settings << "{" << unit["channel"].Number() << ", " << m_spec["width_mhz"].Number() << ", "
-                 << (m_spec["is_5ghz"].Flag() ? "BAND_5GHZ" : "BAND_2_4GHZ") << ", 0}";
+                 << (m_spec["is_5ghz"].Flag() ? "BAND_5GHZ" : "BAND_2_4GHZ") << ", "
+                 << unit["primary"].Number() << "}";
         phy.Set("ChannelSettings", StringValue(settings.str()));
         phy.Set("TxPowerStart", DoubleValue(txPowerDbm));
         phy.Set("TxPowerEnd", DoubleValue(txPowerDbm));
@@ -441,6 +442,15 @@ class Network
         }
         NetDeviceContainer devices = wifi.Install(phy, mac, node);
         Ptr<WifiNetDevice> device = DynamicCast<WifiNetDevice>(devices.Get(0));
+        const Time guardInterval = NanoSeconds(static_cast<uint64_t>(m_spec["guard_interval_ns"].Number()));
+        if (auto ht = device->GetHtConfiguration())
+        {
+            ht->m_sgiSupported = guardInterval < NanoSeconds(800);
+        }
+        if (auto he = device->GetHeConfiguration())
+        {
+            he->SetGuardInterval(guardInterval);
+        }
         if (!m_spec["aggregation"].Flag())
         {
             device->GetMac()->SetAttribute("BE_MaxAmpduSize", UintegerValue(0));

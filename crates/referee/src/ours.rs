@@ -255,17 +255,20 @@ impl Seen {
         let units: Vec<_> = units()
             .map(|(node, unit)| {
                 let place = node.position.unwrap_or_default();
+                let (channel, primary) = wide_channel(&graph.wireless[&unit.network], unit.channel);
                 RadioUnit {
                     name: node.id.to_string(),
                     network: unit.network.clone(),
-                    channel: unit.channel,
+                    channel,
+                    primary,
                     position: [place.x, place.y, place.z],
                     tx_power_dbm: unit.tx_power.0,
                 }
             })
             .collect();
         let networks = graph.wireless.iter().map(|(name, network)| {
-            let channel = units.iter().find(|unit| unit.network == *name).map_or(1, |unit| unit.channel);
+            let mut units = graph.radio_units().filter(|(_, unit)| unit.network == *name);
+            let channel = units.next().map_or(1, |(_, unit)| unit.channel);
             air(name, network, channel)
         });
         Scenario {
@@ -337,6 +340,16 @@ fn request_sender(service: &Service, samples: &[&ServiceTime]) -> Sender {
     }
 }
 
+/// Returns the number of a channel of the network's width, and the place of its primary channel of 20 MHz, from below.
+fn wide_channel(network: &WirelessNetwork, primary: u8) -> (u8, u8) {
+    let [low, high] = network.standard.span_mhz(primary, network.width);
+    let centre = network.standard.frequency_mhz(primary);
+    // Channel numbers count steps of 5 MHz.
+    let above = ((low + high) / 2).saturating_sub(centre) / 5;
+    let below = centre.saturating_sub((low + high) / 2) / 5;
+    (primary + above as u8 - below as u8, ((centre - low) / 20) as u8)
+}
+
 fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
     let frequency_mhz = network.standard.frequency_mhz(channel);
     let loss = |metres| network.path_loss.loss_db(metres, frequency_mhz);
@@ -351,8 +364,9 @@ fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
             WifiStandard::Ax => "ax",
         },
         is_5ghz: frequency_mhz > 5000,
-        width_mhz: 20,
-        streams: 1,
+        width_mhz: network.width.mhz(),
+        streams: network.streams,
+        guard_interval_ns: network.guard_interval.ns(),
         exponent: (loss(10.0) - loss(1.0)) / 10.0,
         reference_db: loss(1.0),
         noise_figure_db: network.noise_floor.0 - THERMAL_NOISE,

@@ -35,11 +35,12 @@ impl Scenario {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Network {
     pub(crate) name: String,
-    /// `g`, `a`, `n` or `ac`.
+    /// `g`, `a`, `n`, `ac` or `ax`.
     pub(crate) standard: &'static str,
     pub(crate) is_5ghz: bool,
     pub(crate) width_mhz: u16,
     pub(crate) streams: u8,
+    pub(crate) guard_interval_ns: u16,
     /// Exponent of the path loss.
     pub(crate) exponent: f64,
     /// Path loss at 1 m, dB.
@@ -57,7 +58,10 @@ pub(crate) struct Network {
 pub(crate) struct RadioUnit {
     pub(crate) name: String,
     pub(crate) network: String,
+    /// Number of its channel by the centre of the whole width, and the place of the primary channel of 20 MHz in it, from
+    /// below.
     pub(crate) channel: u8,
+    pub(crate) primary: u8,
     pub(crate) position: [f64; 3],
     pub(crate) tx_power_dbm: f64,
 }
