@@ -88,6 +88,10 @@ pub struct Machine {
     pub cores: usize,
     /// Release of the kernel.
     pub kernel: String,
+    /// The congestion control of its TCP: with BBR and with CUBIC, a packet waits differently in the same queue. Manifests of
+    /// older versions have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tcp_congestion_control: Option<String>,
 }
 
 /// The SHA-256 digest of a file, in hexadecimal digits.
@@ -194,6 +198,8 @@ impl Machine {
             cpu: known(&information.lines().find_map(model).unwrap_or_default()),
             cores: thread::available_parallelism().map_or(1, Into::into),
             kernel: known(read("/proc/sys/kernel/osrelease").trim()),
+            tcp_congestion_control: Some(read("/proc/sys/net/ipv4/tcp_congestion_control").trim().to_owned())
+                .filter(|name| !name.is_empty()),
         }
     }
 }
@@ -394,6 +400,8 @@ mod tests {
         assert_eq!(known, [false, true, false], "neither a folder nor a secret has a digest");
         fs::remove_file(at("secret")).unwrap();
         assert!(manifest.machine.cores > 0 && manifest.machine.kernel != "unknown");
+        let tcp = fs::read_to_string("/proc/sys/net/ipv4/tcp_congestion_control").ok();
+        assert_eq!(manifest.machine.tcp_congestion_control.as_deref(), tcp.as_deref().map(str::trim));
 
         fs::create_dir_all(at("sensors")).unwrap();
         for name in ["summary.json", "history.json", "journal.jsonl", ".draft", "sensors/1"] {
