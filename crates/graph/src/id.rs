@@ -154,6 +154,10 @@ id! {
     ServiceId, LONGEST
 }
 id! {
+    /// Name of a source of traffic.
+    TrafficId, LONGEST
+}
+id! {
     /// A virtual network function of a service.
     VnfId, LONGEST
 }

@@ -45,6 +45,7 @@ mod sensor;
 mod service;
 mod testbed;
 mod time_parts;
+mod traffic;
 mod units;
 mod vnf_event;
 mod walls;
@@ -85,7 +86,8 @@ pub use hardware::{
     Robot, RobotClock, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
 pub use id::{
-    AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
+    AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, TrafficId,
+    VnfId,
 };
 pub use instruction::Instruction;
 pub use jitter::{Correlation, CorrelationTime, InvalidCorrelation, Jitter, JitterDistribution};
@@ -112,6 +114,7 @@ pub use testbed::{
     Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
+pub use traffic::{Arrivals, CongestionControl, Load, TrafficSource, UdpRate};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis, wrapped_angle};
 pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};
