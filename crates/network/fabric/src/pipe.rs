@@ -119,9 +119,14 @@ impl Pipe {
 
     /// Returns the number of packets in it, counted as they are on the wire.
     pub(crate) fn in_flight(&self) -> u64 {
-        let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
         let line: u64 = self.line.iter().map(|f| u64::from(f.packet.frame.wire_packets())).sum();
-        self.queue.packets() + sending + line
+        self.waiting() + line
+    }
+
+    /// Returns the number of packets that wait or are being sent.
+    pub(crate) fn waiting(&self) -> u64 {
+        let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
+        self.queue.packets() + sending
     }
 
     /// Returns the outcome of all packets that entered it, without those that only measure.

@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Direction, LinkId, NodeId};
 
-use super::{Fabric, edge};
+use super::{Fabric, Hop, Port, Reach, edge};
 use crate::{error::NoPath, port::PortId, routes::Path, settings::Carries};
 
 /// A checked path.
@@ -49,6 +49,20 @@ impl Fabric {
         match self.link_by_name.get(link) {
             Some(&index) => Some(Carries::of(self.pipes[edge(index, direction)].settings())),
             None => self.radio.carries(link, direction),
+        }
+    }
+
+    /// Returns the number of packets that wait at the first link of the shortest path from one port to another, or are being
+    /// sent on it.
+    pub fn waiting(&mut self, from: PortId, to: PortId) -> u64 {
+        let Some(&Port { vertex, reach, .. }) = self.ports.get(from.0) else { return 0 };
+        if let Reach::Robot { .. } = reach {
+            return self.radio.waiting(from, Direction::Forward);
+        }
+        match self.hop(vertex, to) {
+            Some(Hop::Edge(edge)) => self.pipes[edge].waiting(),
+            Some(Hop::Air) => self.radio.waiting(to, Direction::Backward),
+            Some(Hop::Out | Hop::Border) | None => 0,
         }
     }
 

@@ -385,6 +385,14 @@ impl Radio {
         }
     }
 
+    /// Returns the number of frames that wait from a robot, or for it.
+    pub(crate) fn waiting(&self, robot: PortId, direction: Direction) -> u64 {
+        match self.role(robot) {
+            Some(Role::Robot(robot)) => self.queued(robot)[direction as usize],
+            _ => 0,
+        }
+    }
+
     /// Returns the number of robots with a radio.
     pub(crate) fn stations(&self) -> usize {
         self.robots.len()
