@@ -14,6 +14,7 @@ use crate::{
     map::OccupancyGrid,
     schedule::Script,
     service::{Service, Vnf},
+    traffic::TrafficSource,
     units::{Position, millis},
 };
 
@@ -57,6 +58,8 @@ pub struct Testbed {
     pub border: Option<Border>,
     /// Hosts whose frames pass whatever sender they name.
     pub without_port_security: Vec<NodeId>,
+    /// Sources of traffic that need no program, in the file's order.
+    pub traffic: Vec<TrafficSource>,
 }
 
 /// Emulator of links.

@@ -350,6 +350,7 @@ impl Client {
             retention,
             border: None,
             without_port_security: Vec::new(),
+            traffic: Vec::new(),
             containers: Default::default(),
         })
     }

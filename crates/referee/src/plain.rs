@@ -46,6 +46,10 @@ pub fn plain(mut testbed: Testbed) -> Plain {
     if !testbed.graph.links.is_empty() {
         lines.unlike("headers on wires: 2 bytes in ns-3, and 14 here".to_owned());
     }
+    if !testbed.traffic.is_empty() {
+        lines.left_out("sources of traffic".to_owned());
+        testbed.traffic.clear();
+    }
     for service in &testbed.services {
         if service.kpis.flow.is_some() {
             lines.unlike(format!("service {}: programs do not run in virtual time, nor in ns-3", service.id));
@@ -162,6 +166,8 @@ nodes:
   edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
 links:
   - { ends: [R, edge], delay: 5 ms, jitter: 1 ms, rate: 10 Mbit/s }
+traffic:
+  bulk: { from: R, to: edge, protocol: tcp }
 ";
         let testbed = cotorra_testbed_file::parse("lab.yaml", text, ".".as_ref()).unwrap();
         let Plain { testbed: plain, left_out, unlike } = plain(testbed.clone());
@@ -173,7 +179,9 @@ links:
             (None, 5)
         );
         let listed = |what: &str| left_out.iter().any(|line| line.starts_with(what));
-        for what in ["shadowing", "fading", "loss", "the delay", "interference", "jitter, loss", "probes"] {
+        let all =
+            ["shadowing", "fading", "loss", "the delay", "interference", "jitter, loss", "probes", "sources"];
+        for what in all {
             assert!(listed(what), "{what}: {left_out:?}");
         }
         assert_eq!(

@@ -16,6 +16,7 @@ mod ros;
 mod script;
 mod sensors;
 mod services;
+mod traffic;
 mod wifi_software;
 
 use std::{
@@ -71,6 +72,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
     let containers = builder.containers();
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
+    let traffic: Option<Vec<_>> = each(&record.traffic.0, |(id, traffic)| builder.traffic(id, traffic));
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
@@ -93,6 +95,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         retention,
         border: border?,
         without_port_security: without_port_security?,
+        traffic: traffic?,
         containers: containers?,
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.

@@ -3,11 +3,11 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, BitRate, Bound, ChannelWidth, Correlation, DataFormat, Dbm, Direction, DomainId,
-    Emulation, EngineKind, GapPolicy, GuardInterval, InstructionLimit, IpNetwork, JitterDistribution, LinkId,
-    LinuxCapability, ListenPort, NodeId, Phase, PluginId, Position, Probability, Protection, Pull,
-    QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier,
-    VnfId, Volume, WifiStandard,
+    AgentId, Arrivals, BackgroundScan, BitRate, Bound, ChannelWidth, CongestionControl, Correlation,
+    DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy, GuardInterval, InstructionLimit,
+    IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase, PluginId, Position,
+    Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork,
+    SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -47,6 +47,8 @@ record! {
         services: Table<ServiceId, ServiceRecord> = {},
         /// Walks of robots.
         walks: Table<NodeId, WalkRecord> = {},
+        /// Sources of traffic that need no program, by name, in virtual time: docs/use/traffic.md.
+        traffic: Table<TrafficId, TrafficRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
         /// The WLAN Access Information Service (ETSI GS MEC 028).
@@ -297,6 +299,52 @@ record! {
         aggregation: Option<Spanned<bool>>,
         /// How stations sleep between beacons. Without it, they never do.
         power_save: Option<PowerSaveRecord>,
+    }
+}
+
+tagged! {
+    /// A source of traffic that needs no program.
+    TrafficRecord by protocol {
+        "udp" => Udp(UdpTrafficRecord),
+        "tcp" => Tcp(TcpTrafficRecord),
+    }
+}
+
+record! {
+    /// Datagrams.
+    UdpTrafficRecord {
+        /// Rate of the payloads. A saturated source always has a packet for its first link.
+        rate: UdpRate,
+        /// Payload of a datagram, from 16 B to 1472 B.
+        size: Spanned<Bytes> = "1472 B",
+        /// Times between datagrams, unless the source is saturated.
+        arrivals: Arrivals = "constant",
+        ..path: TrafficPathRecord,
+    }
+}
+
+record! {
+    /// A connection.
+    TcpTrafficRecord {
+        /// Algorithm that says how much may be under way.
+        congestion_control: CongestionControl = "cubic",
+        /// Bytes to send in all. Without them, it sends until it stops.
+        bytes: Option<Spanned<Bytes>>,
+        ..path: TrafficPathRecord,
+    }
+}
+
+record! {
+    /// Path and time of a source of traffic.
+    TrafficPathRecord {
+        /// The robot, radio unit or server that sends.
+        from: Spanned<NodeId>,
+        /// The robot, radio unit or server that receives.
+        to: Spanned<NodeId>,
+        /// When it begins, from the run's start.
+        start: Duration = "0 s",
+        /// When it sends no new data any more. Without it, never.
+        stop: Option<Spanned<Duration>>,
     }
 }
 
@@ -1445,6 +1493,15 @@ choice!(GuardInterval, "guard interval", {
 choice!(ExchangeWord, "kind of exchange", {
     "times" => Self::Times, "handovers take the times of their phases";
     "frames" => Self::Frames, "handovers take as long as their frames on the air, with the timers of a kernel of 250 Hz";
+});
+choice!(Arrivals, "way of arrival", {
+    "constant" => Self::Constant, "always after the same time";
+    "poisson" => Self::Poisson, "at random, independent of each other";
+});
+choice!(CongestionControl, "congestion control", {
+    "reno" => Self::Reno, "Reno (RFC 5681)";
+    "cubic" => Self::Cubic, "CUBIC (RFC 9438), the default of Linux";
+    "bbr" => Self::Bbr, "BBR, version 1";
 });
 choice!(FadingWord, "kind of fading", {
     "rayleigh" => Self::Rayleigh, "no line of sight, and still surroundings";

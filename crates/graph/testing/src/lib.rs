@@ -139,6 +139,7 @@ pub fn testbed(graph: HardwareGraph) -> Testbed {
         containers: Default::default(),
         border: None,
         without_port_security: Vec::new(),
+        traffic: Vec::new(),
     }
 }
 

@@ -8,7 +8,7 @@ pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
 use cotorra_graph::{
     AgentId, DomainId, InstructionLimit, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId,
-    VnfId,
+    TrafficId, VnfId,
 };
 
 /// A type that stands in a file.
@@ -538,7 +538,7 @@ macro_rules! ids {
     )*};
 }
 
-ids!(AgentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId);
+ids!(AgentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, TrafficId, VnfId);
 
 impl Name for String {
     fn schema() -> Json {

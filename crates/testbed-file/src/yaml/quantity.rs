@@ -8,7 +8,7 @@ use super::{
     Sink,
     decode::{Decode, Node, expected, nearest, words},
 };
-use cotorra_graph::{BitRate, Correlation, Dbm, Probability, QueueLimit, Rate};
+use cotorra_graph::{BitRate, Correlation, Dbm, Probability, QueueLimit, Rate, UdpRate};
 
 /// A ratio in dB, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -273,6 +273,21 @@ impl Decode for Correlation {
                 .help("a correlation is above -100 % and below 100 %");
         }
         correlation
+    }
+}
+
+impl Decode for UdpRate {
+    fn schema() -> Json {
+        let mut rate = RATE.schema();
+        rate["description"] = json!("A rate, or `saturated`.");
+        rate["pattern"] = json!(format!("^saturated$|{}", rate["pattern"].as_str().unwrap_or_default()));
+        rate
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        if node.text() == Some("saturated") {
+            return Some(Self::Saturated);
+        }
+        BitRate::decode(node, sink).map(Self::Rate)
     }
 }
 
