@@ -84,6 +84,12 @@ pub enum RunError {
          `--set wireless.{0}.wifi=model`"
     )]
     VirtualWifi(String),
+    /// Sources of traffic exist in virtual time only.
+    #[error(
+        "`{0}` is a source of traffic, which only virtual time has: run with `--simulate`, or leave `traffic` out and send \
+         real traffic by `cotorra exec NODE iperf3 …`"
+    )]
+    RealTraffic(cotorra_graph::TrafficId),
     /// This machine has no engine for a container.
     #[error("VNF `{vnf}` starts in a container on `{node}`, and {source}")]
     NoEngine {

@@ -177,6 +177,9 @@ fn figures(summary: &Summary, several: bool) -> Table {
         let text = format!("without a radio unit for {:.1} s, in no gap", robot.detached_ms / 1e3);
         table.row([robot.robot.to_string(), text]);
     }
+    for traffic in &summary.traffic {
+        table.row([format!("traffic {}", traffic.source), traffic.sentence()]);
+    }
     for plugin in &summary.plugins {
         table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);
     }

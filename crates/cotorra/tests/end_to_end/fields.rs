@@ -48,6 +48,18 @@ const NO_QUANTITIES: [&str; 14] = [
     "walked",
 ];
 
+/// A testbed with a source of traffic of each protocol.
+const CARRIED: &str = "name: carried
+nodes:
+  fog: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+links:
+  - { ends: [fog, edge], delay: 1 ms, rate: 10 Mbit/s }
+traffic:
+  bulk: { from: fog, to: edge, protocol: tcp, bytes: 10 kB }
+  video: { from: edge, to: fog, protocol: udp, rate: 1 Mbit/s }
+";
+
 /// Units by the suffix of a name.
 const UNITS: [(&str, &str); 12] = [
     ("_mhz", "MHz"),
@@ -263,6 +275,19 @@ fn every_figure_is_documented_with_its_unit() {
     });
     let forged = serde_json::to_value(forged).unwrap();
     in_document(&forged, used.entry("summary.json").or_default());
+
+    let (file, carried) = (out.path().join("carried.yaml"), out.path().join("carried"));
+    fs::write(&file, CARRIED).unwrap();
+    let run = cotorra(["run", "--headless", "--simulate", "--until", "2s", "--out"])
+        .arg(&carried)
+        .arg(&file)
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let folder = fs::read_dir(&carried).unwrap().next().unwrap().unwrap().path();
+    let summary: Value =
+        serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
+    in_document(&summary["traffic"], used.entry("summary.json").or_default());
 
     let mut found = BTreeSet::new();
     for (place, names) in &used {

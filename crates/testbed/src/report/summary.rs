@@ -10,6 +10,7 @@ use cotorra_graph::{
     Service, ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_localization::trajectory::Errors;
+use cotorra_traffic::Measured;
 use serde::Serialize;
 
 use super::{
@@ -89,6 +90,9 @@ pub struct Summary {
     pub localization: Vec<LocalizationSummary>,
     /// Distances of each robot that is navigated along a walk.
     pub driving: Vec<DrivingSummary>,
+    /// What arrived of each source's traffic, in virtual time.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub traffic: Vec<Measured>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
     /// Plug-ins that were cut off, each with the reason. Of optional ones, there is a notice.
@@ -329,6 +333,7 @@ pub struct Report {
     doubts: Doubts,
     no_progress: Option<String>,
     localization: Vec<LocalizationSummary>,
+    traffic: Vec<Measured>,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
@@ -392,6 +397,7 @@ impl Report {
             doubts: Doubts::new(testbed),
             no_progress: None,
             localization: Vec::new(),
+            traffic: Vec::new(),
             pose_source: None,
             robots: testbed
                 .services
@@ -495,6 +501,11 @@ impl Report {
             Some(LocalizationSummary { robot, samples, error_m, nees })
         };
         self.localization = errors.filter_map(summary).collect();
+    }
+
+    /// Adds what arrived of sources' traffic.
+    pub(crate) fn carried(&mut self, traffic: Vec<Measured>) {
+        self.traffic = traffic;
     }
 
     /// Adds where the robots stand, if none of them makes progress any more.
@@ -670,6 +681,7 @@ impl Report {
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),
+            traffic: self.traffic.clone(),
             plugins: self.instructed.summary(),
             plugin_faults: self.faults.clone(),
             notices: self.notices.clone(),

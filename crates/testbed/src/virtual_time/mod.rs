@@ -26,6 +26,7 @@ use cotorra_graph::{
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{InstructionError, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
+use cotorra_traffic::{Measured, Sources};
 
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
@@ -72,6 +73,7 @@ pub struct Simulation {
     network: VirtualNetwork,
     serving: Serving,
     interference: Interference,
+    traffic: Sources,
     host: PluginHost,
     locals: Locals,
     /// Present if a decision gets another outcome.
@@ -154,6 +156,8 @@ impl Simulation {
             fabric.probe_links(Timestamp::ZERO, probing);
         }
         fabric.measure_flows(&testbed.services);
+        let place = |node: &NodeId| fabric.port(node).map(|port| port.0);
+        let traffic = Sources::new(&testbed.traffic, place, seed);
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone())?;
@@ -194,6 +198,7 @@ impl Simulation {
             network,
             serving,
             interference: Interference::default(),
+            traffic,
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
                 .with_limits(&testbed.plugins)
                 .with_domains(&testbed.graph.domains),
@@ -304,7 +309,9 @@ impl Simulation {
         let fabric = self.network.fabric().poll(now, &mut |_, _| {});
         let held = self.interference.next_deadline();
         let starts = self.serving.next_deadline();
-        let others = plugins.into_iter().chain(fabric).chain(self.alarm).chain(held).chain(starts);
+        let traffic = self.traffic.deadline(now);
+        let others =
+            plugins.into_iter().chain(fabric).chain(self.alarm).chain(held).chain(starts).chain(traffic);
         let next = others.fold(self.core.next_deadline(), Timestamp::min);
         // This step met all deadlines that are not in the future; time must not stand still.
         next.max(now + Duration::from_nanos(1))
@@ -412,6 +419,11 @@ impl Simulation {
         self.core.tap_scans();
     }
 
+    /// Returns what arrived of each source's traffic so far.
+    pub fn traffic(&self) -> Vec<Measured> {
+        self.traffic.measured(self.now())
+    }
+
     /// Returns the localization errors so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
@@ -461,6 +473,7 @@ impl Simulation {
             }
         }
         loop {
+            self.send_traffic(now);
             let mut delivered = Vec::new();
             self.network.fabric().poll(now, &mut |port, frame| delivered.push((port, frame)));
             while let Some(event) = self.network.next_event() {
@@ -476,7 +489,26 @@ impl Simulation {
         }
     }
 
+    /// Sends what sources of traffic have for now.
+    fn send_traffic(&mut self, now: Timestamp) {
+        if self.traffic.is_empty() {
+            return;
+        }
+        let mut fabric = self.network.fabric();
+        loop {
+            let mut buffer = fabric.buffer(0);
+            let waiting = |from, to| fabric.waiting(PortId(from), PortId(to)) as usize;
+            match self.traffic.poll(now, waiting, &mut buffer) {
+                Some(host) => fabric.push(now, PortId(host), cotorra_fabric::Frame::new(buffer)),
+                None => return fabric.recycle(cotorra_fabric::Frame::new(buffer)),
+            }
+        }
+    }
+
     fn deliver(&mut self, now: Timestamp, port: PortId, frame: &[u8]) {
+        if self.traffic.handle(now, port.0, frame) {
+            return;
+        }
         let Some(datagram) = udp::receive(frame, port) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
         if datagram.to == ROBOT_PORT {

@@ -98,6 +98,9 @@ impl Run {
     /// [`RunError`]. Nothing is left then but the run's folder. There is no folder if the testbed file, a plug-in's
     /// settings or ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, options: Options) -> Result<Self, RunError> {
+        if let Some(source) = testbed.traffic.first() {
+            return Err(RunError::RealTraffic(source.id.clone()));
+        }
         for kept in clean().kept {
             tracing::warn!("leftovers of a killed run stay: {kept}");
         }

@@ -8,6 +8,7 @@ mod large_data;
 mod localization;
 mod replica;
 mod sensor;
+mod traffic;
 
 use std::path::Path;
 
