@@ -663,6 +663,9 @@ pub struct HandoverTimes {
     /// Visits into which an attached station divides a scan. Without them, it is away for all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visits: Option<ScanVisits>,
+    /// Whether a station scans before it follows an instruction to attach to another radio unit.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub scan_first: bool,
     /// Authentication.
     #[serde(rename = "authenticate_ms", with = "millis")]
     #[schema(value_type = f64)]
@@ -698,6 +701,9 @@ pub struct ScanVisits {
     #[serde(rename = "dwell_ms", with = "millis")]
     #[schema(value_type = f64)]
     pub dwell: Duration,
+    /// Channels at the end of the scan that the station may only listen on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub passive: Option<PassiveVisits>,
     /// The station visits further channels while it is away no longer than this and has no frame to send.
     #[serde(rename = "away_ms", with = "millis")]
     #[schema(value_type = f64)]
@@ -706,6 +712,32 @@ pub struct ScanVisits {
     #[serde(rename = "back_ms", with = "millis")]
     #[schema(value_type = f64)]
     pub back: Duration,
+}
+
+impl ScanVisits {
+    /// Returns the time on the next channel of a scan, of which this much is left.
+    pub fn next_dwell(&self, rest: Duration) -> Duration {
+        let listened = self.passive.filter(|passive| rest <= passive.whole());
+        listened.map_or(self.dwell, |passive| passive.dwell).min(rest)
+    }
+}
+
+/// Visits of channels that a station may not probe, such as those of radars.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct PassiveVisits {
+    /// Number of channels.
+    pub channels: u8,
+    /// Time on each channel; above 0.
+    #[serde(rename = "dwell_ms", with = "millis")]
+    #[schema(value_type = f64)]
+    pub dwell: Duration,
+}
+
+impl PassiveVisits {
+    /// Returns the time on all channels.
+    pub fn whole(&self) -> Duration {
+        self.dwell * u32::from(self.channels)
+    }
 }
 
 /// Treatment of frames for or from a station that is off its channel or between two radio units.

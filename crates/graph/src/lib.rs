@@ -82,8 +82,9 @@ pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
     BackgroundScan, Band, Capacity, ChannelWidth, Direction, Fading, Frames, GapPolicy, GuardInterval,
-    HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PathLoss, Phase, RadioUnit, Roaming,
-    Robot, RobotClock, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
+    HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PassiveVisits, PathLoss, Phase,
+    RadioUnit, Roaming, Robot, RobotClock, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
+    WirelessNetwork,
 };
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, TrafficId,

@@ -486,6 +486,8 @@ record! {
     HandoverRecord {
         /// Scanning all channels, off one's own. A time, or a mapping.
         scan: Either<Duration, ScanRecord> = "100 ms",
+        /// Whether a station scans before it follows an instruction to attach to another radio unit.
+        scan_first: bool = false,
         /// Authentication.
         authenticate: Duration = "15 ms",
         /// Reassociation.
@@ -518,10 +520,14 @@ pub(crate) enum ExchangeWord {
 record! {
     /// A scan of one channel after another, as Linux's software scan: an attached station is back on its channel in between.
     ScanRecord {
-        /// Number of channels.
+        /// Number of channels that it probes.
         channels: Spanned<u8>,
         /// Time on each channel.
         dwell: Spanned<Duration> = "60 ms",
+        /// Number of further channels, which it only listens on.
+        passive: u8 = 0,
+        /// Time on each of these.
+        listen: Spanned<Duration> = "111 ms",
         /// Longest time away from its channel, if no frame waits to be sent. If one does, it comes back from each channel.
         away: Spanned<Duration> = "125 ms",
         /// Time back on its channel.

@@ -109,6 +109,7 @@ pub fn wireless() -> WirelessNetwork {
         handover: HandoverTimes {
             scan: ms(100),
             visits: None,
+            scan_first: false,
             authenticate: ms(10),
             reassociate: ms(20),
             handshake: ms(40),

@@ -4,9 +4,9 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AgentId, BackgroundScan, Band, Capacity, ChannelWidth, DomainId, Fading, Frames, Gateway, GuardInterval,
-    HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position,
-    Probability, RadioUnit, Reached, RealServer, Roaming, Robot, RobotClock, ScanVisits, Server, Shadowing,
-    Walls, WifiStandard, WirelessNetwork,
+    HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, OccupancyGrid, PassiveVisits,
+    PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Roaming, Robot, RobotClock, ScanVisits,
+    Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -92,6 +92,7 @@ impl Builder<'_> {
             handover: HandoverTimes {
                 scan,
                 visits,
+                scan_first: handover.scan_first,
                 authenticate: handover.authenticate,
                 reassociate: handover.reassociate,
                 handshake: handover.handshake,
@@ -177,26 +178,31 @@ impl Builder<'_> {
 
     /// Returns the duration of a scan, and its visits of other channels.
     fn scan(&mut self, record: &Either<Duration, ScanRecord>) -> (Duration, Option<ScanVisits>) {
-        let ScanRecord { channels, dwell, away, back } = match record {
+        let ScanRecord { channels, dwell, passive, listen, away, back } = match record {
             Either::Short(whole) => return (*whole, None),
             Either::Long(record) => record,
         };
-        if channels.value == 0 {
+        if channels.value == 0 && *passive == 0 {
             self.sink
                 .error(&channels.span, "a scan of no channels")
                 .help("write how many there are, such as `13` at 2.4 GHz");
         }
-        if dwell.value.is_zero() {
+        let passive = (*passive > 0).then_some(PassiveVisits { channels: *passive, dwell: listen.value });
+        let longest = passive.map_or(dwell.value, |passive| passive.dwell.max(dwell.value));
+        let empty =
+            [Some(dwell), passive.map(|_| listen)].into_iter().flatten().find(|time| time.value.is_zero());
+        if let Some(empty) = empty {
             self.sink
-                .error(&dwell.span, "a scan that stays on no channel")
+                .error(&empty.span, "a scan that stays on no channel")
                 .help("write a time above zero; Linux takes `60 ms`, or `111 ms` where it may only listen");
-        } else if away.value < dwell.value {
+        } else if away.value < longest {
             self.sink
                 .error(&away.span, "a shorter absence than one channel takes")
-                .help("write at least the `dwell`; Linux has `125 ms`");
+                .help("write at least the `dwell` and the `listen`; Linux has `125 ms`");
         }
-        let visits = ScanVisits { dwell: dwell.value, away: away.value, back: *back };
-        (dwell.value * u32::from(channels.value), Some(visits))
+        let probed = dwell.value * u32::from(channels.value);
+        let visits = ScanVisits { dwell: dwell.value, passive, away: away.value, back: *back };
+        (probed + passive.map_or(Duration::ZERO, |passive| passive.whole()), Some(visits))
     }
 
     fn walls(

@@ -2,7 +2,9 @@
 
 use std::{path::Path, time::Duration};
 
-use cotorra_graph::{Phase, Protection, RadioKind, RobotClock, ScanVisits, Security, Testbed, WifiSoftware};
+use cotorra_graph::{
+    PassiveVisits, Phase, Protection, RadioKind, RobotClock, ScanVisits, Security, Testbed, WifiSoftware,
+};
 use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
@@ -71,11 +73,17 @@ fn a_scan_can_have_visits() {
     };
     let ms = Duration::from_millis;
     let linux = handover("{ channels: 13 }");
-    let visits = ScanVisits { dwell: ms(60), away: ms(125), back: ms(200) };
+    let visits = ScanVisits { dwell: ms(60), passive: None, away: ms(125), back: ms(200) };
     assert_eq!((linux.scan, linux.visits), (ms(780), Some(visits)));
     let other = handover("{ channels: 5, dwell: 111 ms, away: 111 ms, back: 100 ms }");
-    let visits = ScanVisits { dwell: ms(111), away: ms(111), back: ms(100) };
+    let visits = ScanVisits { dwell: ms(111), passive: None, away: ms(111), back: ms(100) };
     assert_eq!((other.scan, other.visits), (ms(555), Some(visits)));
+    let both_bands = handover("{ channels: 17, passive: 15 }");
+    let passive = Some(PassiveVisits { channels: 15, dwell: ms(111) });
+    assert_eq!(both_bands.scan, ms(17 * 60 + 15 * 111));
+    assert_eq!(both_bands.visits, Some(ScanVisits { passive, ..linux.visits.unwrap() }));
+    let setting = ["wireless.lab.handover.scan_first=true"];
+    assert!(with(&setting).unwrap().graph.wireless["lab"].handover.scan_first);
     // Without visits, JSON is as it was.
     assert!(!serde_json::to_string(&handover("100 ms")).unwrap().contains("visits"));
 }

@@ -194,8 +194,8 @@ impl Station {
         Ok(())
     }
 
-    /// Leaves the channel for another radio unit, after a current scan. Does nothing if the station is attached there, or
-    /// about to be.
+    /// Leaves the channel for another radio unit, after a scan if one is under way or is to come first. Does nothing if the
+    /// station is attached there, or about to be.
     pub(super) fn attach(&mut self, now: Timestamp, to: RadioUnitIndex) -> Result<(), Busy> {
         match self.busy() {
             Some(Busy::HandingOver(underway)) if underway == to => Ok(()),
@@ -210,6 +210,7 @@ impl Station {
                 Ok(())
             }
             None if self.attached == Some(to) => Ok(()),
+            None if self.times.scan_first => self.scan(now, Purpose::Attach(to)),
             None => {
                 self.begin(now, now, Stage::Authenticate, to);
                 Ok(())
@@ -264,7 +265,8 @@ impl Station {
                 Step::Scanned
             }
             Phase::Scan(purpose, rest) => {
-                match self.visits().filter(|v| frames_wait || ends.since(left) + v.dwell.min(rest) > v.away) {
+                match self.visits().filter(|v| frames_wait || ends.since(left) + v.next_dwell(rest) > v.away)
+                {
                     Some(ScanVisits { back, .. }) => {
                         let phase = Phase::Pause(purpose, rest);
                         self.activity = Some(Activity { left, phase, ends: ends + back });
@@ -301,7 +303,7 @@ impl Station {
 
     /// Goes to the next channel of a scan, or to all of the rest.
     fn visit(&mut self, left: Timestamp, now: Timestamp, purpose: Purpose, rest: Duration) {
-        let dwell = self.visits().map_or(rest, |visits| visits.dwell.min(rest));
+        let dwell = self.visits().map_or(rest, |visits| visits.next_dwell(rest));
         let phase = Phase::Scan(purpose, rest - dwell);
         self.activity = Some(Activity { left, phase, ends: now + dwell });
     }
@@ -411,6 +413,7 @@ fn next_tick(now: Timestamp, Frames { tick }: Frames) -> Timestamp {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph::PassiveVisits;
     use cotorra_graph_testing as base;
 
     use super::*;
@@ -517,7 +520,8 @@ mod tests {
     /// A station whose scans of 100 ms visit channels for 30 ms each, two at a time.
     fn visitor() -> Station {
         let mut station = station(true, 0.0);
-        station.times.visits = Some(ScanVisits { dwell: ms(30), away: ms(75), back: ms(200) });
+        let visits = ScanVisits { dwell: ms(30), passive: None, away: ms(75), back: ms(200) };
+        station.times.visits = Some(visits);
         station
     }
 
@@ -537,6 +541,32 @@ mod tests {
         station.scan(at(0), Purpose::Look).unwrap();
         let expected = [(30, false), (60, true), (260, false), (290, false), (300, true)];
         assert_eq!(presence(&mut station, false), expected);
+    }
+
+    #[test]
+    fn a_scan_listens_longer_on_its_last_channels() {
+        let mut station = visitor();
+        let passive = Some(PassiveVisits { channels: 2, dwell: ms(70) });
+        let visits = station.times.visits.map(|visits| ScanVisits { passive, ..visits });
+        station.times = HandoverTimes { scan: ms(2 * 30 + 2 * 70), visits, ..station.times };
+        station.scan(at(0), Purpose::Look).unwrap();
+        let expected = [(30, false), (60, true), (260, false), (330, true), (530, false), (600, true)];
+        assert_eq!(presence(&mut station, false), expected);
+    }
+
+    #[test]
+    fn a_scan_precedes_an_instructed_change_if_it_is_to() {
+        let mut station = visitor();
+        station.times.scan_first = true;
+        station.attach(at(0), 1).unwrap();
+        assert_eq!(station.attach(at(1), 2), Err(Busy::HandingOver(1)));
+        // It is away for 60 ms, back for 200 ms, and away for 40 ms and the handover of 30 ms.
+        let joined = Joined { from: Some(0), to: 1, fast: true, gap: ms(40 + 30) };
+        let (steps, took) = run(&mut station, at(0), None);
+        assert!(steps.contains(&Step::Scanned));
+        assert_eq!((steps.last(), took), (Some(&Step::Attached(joined)), ms(60 + 200 + 70)));
+        station.attach(at(400), 1).unwrap();
+        assert!(!station.is_busy(), "it is there already");
     }
 
     #[test]

@@ -7,8 +7,8 @@ mod supplicant;
 
 use cotorra_graph::{
     Access, BitRate, Conditions, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss, Node,
-    NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl, Roaming,
-    Robot, ScanVisits, Shadowing, WifiStandard,
+    NodeKind, PassiveVisits, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl,
+    Roaming, Robot, ScanVisits, Shadowing, WifiStandard,
 };
 use cotorra_graph_testing as base;
 use proptest::prelude::*;
@@ -371,34 +371,55 @@ fn the_drop_policy_loses_queued_frames_and_those_of_the_gap() {
 
 #[test]
 fn a_scan_with_visits_makes_many_short_gaps() {
-    let visits = Some(ScanVisits { dwell: ms(60), away: ms(125), back: ms(200) });
-    let longest_wait = |visits| {
-        let handover = HandoverTimes { scan: ms(780), visits, ..network().handover };
+    let visits = ScanVisits { dwell: ms(60), passive: None, away: ms(125), back: ms(200) };
+    let longest_wait = |scan, visits| {
+        let handover = HandoverTimes { scan: ms(scan), visits, ..network().handover };
         let mut world = corridor(WirelessNetwork { handover, ..network() }, Roaming::Instructed);
         world.radio.scan(at(0), &id("r")).unwrap();
-        for i in 0..400 {
+        for i in 0..1000 {
             world.up(at(i * 10), "r", 60);
             world.down(at(i * 10), "R1", "r", 60);
             world.run(at(i * 10));
         }
-        world.run(at(5000));
-        assert_eq!(world.arrived.len(), 800);
+        world.run(at(11_000));
+        assert_eq!(world.arrived.len(), 2000);
         let scanned = world.events();
         assert_eq!(scanned.len(), 1, "{scanned:?}");
         let number = |frame: &Frame| u64::from_be_bytes(frame.bytes()[14..22].try_into().unwrap());
         let waits = world.arrived.iter().map(|(due, _, frame)| due.since(at(number(frame) / 2 * 10)));
         (scanned[0].at, waits.max().unwrap().as_millis())
     };
-    assert_eq!(longest_wait(None), (at(780), 781));
+    assert_eq!(longest_wait(780, None), (at(780), 781));
     // 13 visits and 12 returns. Frames wait for one visit.
-    let (scanned, wait) = longest_wait(visits);
+    let (scanned, wait) = longest_wait(780, Some(visits));
     assert_eq!(scanned, at(13 * 60 + 12 * 200));
     assert!((60..65).contains(&wait), "{wait} ms");
+    // Both bands: 13 + 4 channels are probed, and 15 only listened on.
+    let passive = Some(PassiveVisits { channels: 15, dwell: ms(111) });
+    let (scanned, wait) = longest_wait(17 * 60 + 15 * 111, Some(ScanVisits { passive, ..visits }));
+    assert_eq!(scanned, at(17 * 60 + 15 * 111 + 31 * 200));
+    assert!((111..116).contains(&wait), "{wait} ms");
+}
+
+#[test]
+fn an_instructed_change_can_begin_with_a_scan() {
+    let handover = HandoverTimes { scan_first: true, ..network().handover };
+    let mut world = corridor(WirelessNetwork { handover, ..network() }, Roaming::Instructed);
+    world.radio.attach(at(100), &id("r"), &id("R2")).unwrap();
+    world.run(at(1000));
+    assert_eq!(world.attached("r"), Some(world.port("R2")));
+    let events = world.events();
+    let [scanned, changed] = &events[..] else { panic!("{events:?}") };
+    assert_eq!((scanned.at, &scanned.event), (at(200), &Event::Scanned { robot: id("r") }));
+    assert!(
+        matches!(&changed.event, Event::Handover(handover) if handover.gap == ms(100 + 30)),
+        "{changed:?}"
+    );
 }
 
 #[test]
 fn a_radio_unit_that_is_switched_off_between_visits_is_lost() {
-    let visits = Some(ScanVisits { dwell: ms(60), away: ms(60), back: ms(200) });
+    let visits = Some(ScanVisits { dwell: ms(60), passive: None, away: ms(60), back: ms(200) });
     let handover = HandoverTimes { scan: ms(780), visits, ..network().handover };
     let mut world = corridor(WirelessNetwork { handover, ..network() }, Roaming::Instructed);
     world.radio.scan(at(0), &id("r")).unwrap();
@@ -751,13 +772,15 @@ proptest! {
             Edca { aggregation, rate_control, power_save }
         })),
         visited: bool,
+        listens: bool,
         operations in (0..2u32).prop_flat_map(|groups| {
             prop::collection::vec((0..40u64, operation(groups)), 0..250)
         }),
     ) {
         let shadowing = Shadowing { deviation_db, correlation_m: 5.0 };
-        let visits = visited.then_some(ScanVisits { dwell: ms(20), away: ms(40), back: ms(50) });
-        let handover = HandoverTimes { variation: 0.5, visits, ..network().handover };
+        let passive = listens.then_some(PassiveVisits { channels: 2, dwell: ms(30) });
+        let visits = visited.then_some(ScanVisits { dwell: ms(20), passive, away: ms(40), back: ms(50) });
+        let handover = HandoverTimes { variation: 0.5, visits, scan_first: listens, ..network().handover };
         let robots = ["a", "b", "c"];
         let units = ["R1", "R2", "R3"];
         let roaming = [Roaming::Signal, supplicant::every(1), Roaming::Instructed];
