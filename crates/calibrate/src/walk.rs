@@ -4,8 +4,9 @@
 //! region, which is a radio unit and a server:
 //!
 //! - **how much longer** they take on average than the simulated ones,
-//! - **how much** they vary, and with 100 samples by which distribution,
-//! - and for the whole walk **how long scans last**: frames that are held come up to a scan's length late.
+//! - **how much** they vary outside of scans, and with 100 samples by which distribution,
+//! - and for the whole walk **how long scans last**, or each of their visits and **how many** there are: frames that are held
+//!   come up to a visit's length late.
 //!
 //! They do not say in which direction or on which hop of the region the time passes, nor which phase of a handover takes it,
 //! nor anything of signals and thresholds. Those stay as the testbed file has them. By convention, what a region takes longer is
@@ -26,7 +27,11 @@ use cotorra_graph::{JitterDistribution, Link, LinkId, NodeId, Testbed, WirelessN
 use cotorra_numbers::Draws;
 use serde::Serialize;
 
-use self::{gaps::Late, regions::Visits, setting::Crossings};
+use self::{
+    gaps::{Late, Spikes},
+    regions::Visits,
+    setting::Crossings,
+};
 use crate::{
     estimate::Estimate,
     jitter,
@@ -129,9 +134,12 @@ impl RegionFit {
 pub struct ScanFit {
     /// Number of scans whose spikes were measured.
     pub scans: usize,
-    /// Mean duration of a scan, ms.
+    /// Mean duration of a scan, or of each of its visits, ms.
     pub scan_ms: Estimate,
-    /// Share of samples in spikes. It follows from the durations and the number of scans, and is in no setting.
+    /// Number of visits of a scan; `None` if it is one absence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub visits: Option<Estimate>,
+    /// Share of samples in spikes. It follows from these and the number of scans, and is in no setting.
     pub share: Estimate,
     /// Share of the simulated samples in spikes.
     pub simulated_share: f64,
@@ -155,10 +163,13 @@ impl Series {
         DEVIATION_BY_MEDIAN * median(self.samples.iter().map(|(_, ms)| (ms - middle).abs()).collect())
     }
 
-    /// Returns the samples that are no spikes, ms.
-    fn usual_ms(&self, spike_ms: f64) -> Vec<f64> {
+    /// Returns the samples outside of scans, ms. If they are few, it returns all that are no spikes.
+    fn usual_ms(&self, spikes: &Spikes, spike_ms: f64) -> Vec<f64> {
         let highest = self.median_ms() + spike_ms;
-        self.samples.iter().map(|(_, ms)| *ms).filter(|ms| *ms <= highest).collect()
+        let low = || self.samples.iter().filter(move |(_, ms)| *ms <= highest);
+        let outside: Vec<_> =
+            low().filter(|(at_s, _)| !spikes.is_in_scan(*at_s)).map(|(_, ms)| *ms).collect();
+        if outside.len() < LEAST_IN_REGION { low().map(|(_, ms)| *ms).collect() } else { outside }
     }
 
     /// Returns how much later than usual each sample is.
@@ -197,6 +208,8 @@ pub fn fit_walk(data: &WalkData<'_>, seed: u64) -> WalkFit {
     });
     let network = network(data);
     let spike_ms = spike_ms(network.map(|(_, network)| network), [&measured, &simulated]);
+    let spikes = [&measured, &simulated]
+        .map(|walk| Spikes::of(walk.values().flat_map(Series::late).collect(), spike_ms));
     let crossings = Crossings::of(data, &visits);
     let mut fit = WalkFit { regions: Vec::new(), scan: None, settings: Vec::new(), notes };
     for (region, series) in &measured {
@@ -207,14 +220,15 @@ pub fn fit_walk(data: &WalkData<'_>, seed: u64) -> WalkFit {
                 continue;
             }
         };
-        let walks = [series, &simulated[region]].map(|series| series.usual_ms(spike_ms));
+        let walks = [(series, &spikes[0]), (&simulated[region], &spikes[1])]
+            .map(|(series, spikes)| series.usual_ms(spikes, spike_ms));
         let of_region = fit_region(region, link, &walks, &mut Draws::new(seed, &format!("walk {region}")));
         let (settings, notes) = setting::of_region(link, &of_region);
         fit.settings.extend(settings);
         fit.notes.extend(notes.into_iter().map(|note| format!("{region}: {note}")));
         fit.regions.push(of_region);
     }
-    match scan(network, [&measured, &simulated], spike_ms, seed) {
+    match scan(network, &spikes, seed) {
         Ok((setting, scan)) => {
             fit.settings.push(setting);
             fit.scan = Some(scan);
@@ -296,25 +310,22 @@ fn spike_ms(network: Option<&WirelessNetwork>, walks: [&Walk<'_>; 2]) -> f64 {
     usual.max(change).max(LOWEST_SPIKE_MS)
 }
 
-/// Fits the duration of scans.
+/// Fits the scans.
 fn scan(
     network: Option<(&str, &WirelessNetwork)>,
-    walks: [&Walk<'_>; 2],
-    spike_ms: f64,
+    [measured, simulated]: &[Spikes; 2],
     seed: u64,
 ) -> Result<(FittedSetting, ScanFit), String> {
     let (name, network) = network.ok_or("the robot joins no network")?;
-    let [measured, simulated] = walks.map(|walk| {
-        let mut samples: Vec<_> = walk.values().flat_map(Series::late).collect();
-        samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        gaps::Spikes { samples, spike_ms }
-    });
-    let draws = &mut Draws::new(seed, "walk scans");
-    let scan = gaps::fit(network, &measured, &simulated, draws)?;
+    let scan = gaps::fit(network, measured, simulated, &mut Draws::new(seed, "walk scans"))?;
+    let note = match scan.visits {
+        None => format!("duration of a scan {:.1} ms", scan.scan_ms),
+        Some(visits) => format!("{visits:.1} visits of {:.1} ms", scan.scan_ms),
+    };
     let setting = FittedSetting {
         path: format!("wireless.{name}.handover.scan"),
-        value: format!("{:.2} ms", scan.scan_ms.value),
-        note: format!("duration of a scan {:.1} ms", scan.scan_ms),
+        value: gaps::setting(&scan, &network.handover),
+        note,
     };
     Ok((setting, scan))
 }

@@ -39,12 +39,16 @@ fn region(unit: &str) -> Region {
     Region { radio_unit: unit.parse().unwrap(), server: "cloud".parse().unwrap() }
 }
 
-/// Delays of a walk of 200 s with 20 samples a second. It changes from R1 to R2 after 100 s and scans each 5.317 s.
+/// Delays of a walk of 200 s with 20 samples a second. It changes from R1 to R2 after 100 s.
 #[derive(Clone, Copy)]
 struct Site {
     usual_ms: [f64; 2],
     deviation_ms: [f64; 2],
     distribution: JitterDistribution,
+    scan_every_ms: f64,
+    /// Visits of each scan, with returns of 200 ms.
+    visits: f64,
+    /// Duration of each.
     scan_ms: f64,
 }
 
@@ -53,6 +57,8 @@ const SIMULATED: Site = Site {
     usual_ms: [10.0, 20.0],
     deviation_ms: [0.0, 0.5],
     distribution: JitterDistribution::Normal,
+    scan_every_ms: 5317.0,
+    visits: 1.0,
     scan_ms: 100.0,
 };
 
@@ -65,8 +71,11 @@ impl Site {
                 let in_second = usize::from(at_s >= 100.0);
                 let usual = self.usual_ms[in_second];
                 let jitter = self.deviation_ms[in_second] * jitter::draw(self.distribution, draws);
-                let since = at_s * 1e3 % 5317.0;
-                let held = if at_s > 5.0 { (self.scan_ms - since).max(0.0) } else { 0.0 };
+                let since = at_s * 1e3 % self.scan_every_ms;
+                let visit = since / (self.scan_ms + 200.0);
+                let is_scanning = at_s * 1e3 > self.scan_every_ms - 317.0 && visit < self.visits;
+                let in_visit = since % (self.scan_ms + 200.0);
+                let held = if is_scanning { (self.scan_ms - in_visit).max(0.0) } else { 0.0 };
                 let ms = Some((usual + jitter + held).max(0.1));
                 let region = Some(region(["R1", "R2"][in_second]));
                 SimulatedSample { sample: WalkSample { at_s, ms }, region }
@@ -95,6 +104,7 @@ fn delays_jitter_and_scans_of_a_site_are_found() {
         deviation_ms: [0.8, 1.3],
         distribution: JitterDistribution::Normal,
         scan_ms: 160.0,
+        ..SIMULATED
     };
     let fits: Vec<_> = (2..10).map(|seed| fit(&site.measured(seed))).collect();
     // Of eight intervals of 95 %, one or two may miss.
@@ -117,6 +127,46 @@ fn delays_jitter_and_scans_of_a_site_are_found() {
     ];
     assert_eq!(paths, expected);
     assert_eq!(fit.notes, Vec::<String>::new());
+}
+
+/// As Linux scans both bands: the truth is 24 visits of 111 ms each 22 s.
+const DIVIDED: Site = Site {
+    usual_ms: [10.0, 20.0],
+    deviation_ms: [0.8, 1.3],
+    distribution: JitterDistribution::Normal,
+    scan_every_ms: 22_317.0,
+    visits: 24.0,
+    scan_ms: 111.0,
+};
+
+#[test]
+fn visits_of_a_scan_are_counted_and_add_no_jitter() {
+    for seed in 2..6 {
+        let fit = fit(&DIVIDED.measured(seed));
+        let scan = fit.scan.as_ref().unwrap();
+        assert!((scan.scan_ms.value - 111.0).abs() < 5.0, "{scan:?}");
+        assert!((21.0..27.0).contains(&scan.visits.unwrap().value), "{scan:?}");
+        for (of, jitter) in fit.regions.iter().zip(DIVIDED.deviation_ms) {
+            assert!((of.jitter_ms.value - jitter).abs() < 0.2, "{of:?}");
+        }
+        // The fitted testbed has these scans.
+        let setting = fit.settings.iter().find(|its| its.path == "wireless.lab.handover.scan").unwrap();
+        let setting = cotorra_testbed_file::Setting::new(&setting.path, &setting.value).unwrap();
+        let fitted =
+            cotorra_testbed_file::parse_with("test.yaml", TESTBED, Path::new(""), &[setting]).unwrap();
+        let handover = fitted.graph.wireless["lab"].handover;
+        let dwell_ms = handover.visits.unwrap().dwell.as_secs_f64() * 1e3;
+        assert!((dwell_ms - scan.scan_ms.value).abs() < 0.01, "{handover:?}");
+    }
+}
+
+#[test]
+fn visits_are_counted_by_rare_samples_if_scans_are_as_frequent_as_simulated() {
+    let simulated = Site { visits: 1.0, scan_ms: 100.0, ..DIVIDED }.walk(1);
+    let measured: Vec<_> = DIVIDED.measured(2).into_iter().step_by(20).collect();
+    let fit = fit_to(&testbed(TESTBED), &simulated, &measured);
+    let scan = fit.scan.unwrap();
+    assert!((15.0..33.0).contains(&scan.visits.unwrap().value), "{scan:?}");
 }
 
 #[test]
@@ -183,7 +233,7 @@ fn few_samples_are_refused_and_named() {
 }
 
 #[test]
-fn spikes_are_refused_where_nothing_scans_or_scans_are_divided() {
+fn spikes_are_refused_where_nothing_scans_or_visits_differ() {
     let still = Site { scan_ms: 0.0, ..SIMULATED };
     let measured = SIMULATED.measured(2);
     let refused = |fit: WalkFit| (fit.scan, fit.notes.last().cloned().unwrap_or_default());
@@ -191,7 +241,7 @@ fn spikes_are_refused_where_nothing_scans_or_scans_are_divided() {
     assert_eq!(scan, None);
     assert!(note.ends_with("the simulated walk has 0"), "{note}");
     for (from, to, why) in [
-        ("scan: 100 ms", "scan: { channels: 2 }", "`handover.scan` is divided into visits"),
+        ("scan: 100 ms", "scan: { channels: 2, passive: 1 }", "visits of two durations"),
         ("delay: 1 ms\n", "delay: 1 ms\n    gap: drop\n", "`gap: drop` loses what comes during a scan"),
     ] {
         let (scan, note) =

@@ -198,7 +198,12 @@ pub(super) fn tables(tests: &[WalkTest]) -> Vec<DataTable> {
         }
         if let Some(scan) = &fit.scan {
             let from = format!("{} scans", scan.scans);
-            row("duration of a scan, ms".to_owned(), format!("{:.1}", scan.scan_ms), from);
+            let what =
+                if scan.visits.is_some() { "duration of a visit, ms" } else { "duration of a scan, ms" };
+            row(what.to_owned(), format!("{:.1}", scan.scan_ms), from.clone());
+            if let Some(visits) = scan.visits {
+                row("visits of a scan".to_owned(), format!("{visits:.1}"), from);
+            }
             let share = |value: f64| value * 100.0;
             let (value, low, high) = (share(scan.share.value), share(scan.share.low), share(scan.share.high));
             row(
