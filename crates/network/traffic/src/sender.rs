@@ -13,7 +13,7 @@ use crate::{
     receiver,
     rtt::{RoundTrips, milliseconds},
     segment::{Block, MSS, Segment, unwrap_near},
-    window::Window,
+    window::{Acknowledgement, Window},
 };
 
 /// Segments that must arrive beyond one before it is lost (RFC 6675, DupThresh).
@@ -40,6 +40,7 @@ pub(crate) struct Sender {
     lost: usize,
     /// Whether the next of them is sent whatever the window is (RFC 6675, section 5, 4.3).
     sends_first: bool,
+    reduction: Reduction,
     /// When the oldest segment counts as lost.
     timer: Option<Timestamp>,
     /// When pacing allows the next segment.
@@ -78,6 +79,40 @@ enum State {
     Recovery(u64),
     /// From a timeout.
     Timeout(u64),
+}
+
+/// Proportional rate reduction (RFC 6937): what a sender with a window sends while it recovers, so that it neither bursts nor
+/// sends more than arrives.
+#[derive(Debug, Clone, Copy, Default)]
+struct Reduction {
+    /// Bytes under way when recovery began (RecoverFS).
+    before: u64,
+    /// Bytes that arrived since (prr_delivered).
+    arrived: u64,
+    /// Bytes that were sent since (prr_out).
+    sent: u64,
+    /// Bytes that may be sent now (sndcnt).
+    allowed: u64,
+}
+
+impl Reduction {
+    /// Takes bytes that newly arrived, with so many under way and so many aimed at (ssthresh). `is_safe` says whether the
+    /// acknowledgement advanced, and found no more losses.
+    fn acknowledged(&mut self, bytes: u64, in_flight: u64, aim: u64, is_safe: bool) {
+        self.arrived += bytes;
+        self.allowed = if in_flight > aim {
+            (self.arrived * aim).div_ceil(self.before.max(1)).saturating_sub(self.sent)
+        } else {
+            let conserved = self.arrived.saturating_sub(self.sent);
+            let limit = if is_safe { conserved.max(bytes) + MSS } else { conserved };
+            limit.min(aim - in_flight)
+        };
+    }
+
+    fn send(&mut self, bytes: u64) {
+        self.sent += bytes;
+        self.allowed = self.allowed.saturating_sub(bytes);
+    }
 }
 
 /// A segment that is not acknowledged.
@@ -147,6 +182,7 @@ impl Sender {
             arrived: 0,
             lost: 0,
             sends_first: false,
+            reduction: Reduction::default(),
             timer: None,
             paced: Timestamp::ZERO,
             delivered: 0,
@@ -232,9 +268,14 @@ impl Sender {
             }
         }
         if lost > 0 && self.state == State::Open {
-            self.recover();
+            self.recover(self.in_flight + lost + news.bytes);
         }
         self.steer(now, &news, lost, rate, round_trip);
+        if let (State::Recovery(_), Control::Window(window)) = (self.state, &self.control) {
+            let aim = (window.size() * MSS as f64) as u64;
+            let is_safe = self.acknowledged > before && lost == 0;
+            self.reduction.acknowledged(news.bytes, self.in_flight, aim, is_safe);
+        }
         // RFC 6298, 5.2 and 5.3.
         if self.acknowledged > before {
             self.timer = (!self.flying.is_empty()).then(|| now + self.trips.timeout());
@@ -253,11 +294,16 @@ impl Sender {
     ) {
         match &mut self.control {
             Control::Window(window) => {
-                let trip = self.trips.smoothed().unwrap_or_default();
                 let segments = news.bytes as f64 / MSS as f64;
-                let used = self.in_flight as f64 / MSS as f64 + segments;
+                let ack = Acknowledgement {
+                    segments,
+                    used: self.in_flight as f64 / MSS as f64 + segments,
+                    round_trip: self.trips.smoothed().unwrap_or_default(),
+                    sample: round_trip,
+                    positions: [self.acknowledged, self.next],
+                };
                 if !matches!(self.state, State::Recovery(_)) {
-                    window.acknowledged(now, segments, used, trip);
+                    window.acknowledged(now, &ack);
                 }
             }
             Control::Bbr(bbr) => {
@@ -286,6 +332,9 @@ impl Sender {
             _ => MSS,
         };
         let window = match &self.control {
+            Control::Window(_) if matches!(self.state, State::Recovery(_)) => {
+                self.in_flight + self.reduction.allowed
+            }
             Control::Window(window) => (window.size() * MSS as f64) as u64,
             Control::Bbr(bbr) => bbr.window() as u64,
         };
@@ -333,6 +382,7 @@ impl Sender {
         segment.latest_sent = self.latest_sent;
         let (start, bytes, tries) = (segment.start, segment.bytes(), segment.tries);
         self.in_flight += bytes;
+        self.reduction.send(bytes);
         let syn = start == 0;
         if !syn {
             self.counts.sent += 1;
@@ -442,9 +492,10 @@ impl Sender {
         bytes
     }
 
-    /// Begins to recover from a loss.
-    fn recover(&mut self) {
+    /// Begins to recover from a loss, with so many bytes under way before it.
+    fn recover(&mut self, before: u64) {
         let flight = self.flight();
+        self.reduction = Reduction { before, ..Reduction::default() };
         self.state = State::Recovery(self.next);
         self.sends_first = true;
         match &mut self.control {
