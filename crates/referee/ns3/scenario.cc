@@ -2,9 +2,9 @@
 //
 //   scenario SCENARIO.json SEED > RESULT.json
 //
-// The scenario has radio units, robots with their places over time, wires, and what robots send. `src/scenario.rs` describes
-// its keys, which have SI units. Every robot has one radio for each radio unit that it uses, and sends by the one that the
-// scenario names at the time: changing over takes no time here.
+// The scenario has radio units, robots with their places over time, wires, what robots send, and sources of traffic.
+// `src/scenario.rs` describes its keys, which have SI units. Every robot has one radio for each radio unit that it uses, and
+// sends by the one that the scenario names at the time: changing over takes no time here.
 
 #include "ns3/core-module.h"
 #include "ns3/internet-module.h"
@@ -16,8 +16,10 @@
 
 #include <cmath>
 #include <fstream>
+#include <functional>
 #include <iomanip>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <sstream>
 #include <stdexcept>
@@ -151,6 +153,8 @@ class Json
 
 constexpr uint16_t ANSWERS = 7000;
 constexpr uint16_t TAKES = 7001;
+/// Port of the first source of traffic.
+constexpr uint16_t TRAFFIC = 8000;
 /// Bytes of an Ethernet header.
 constexpr uint32_t ETHERNET = 14;
 
@@ -326,6 +330,211 @@ Answer(Ptr<Socket> socket)
         });
     }
 }
+
+/// Traffic of a source from one node to another: UDP datagrams, or a TCP connection.
+class Traffic
+{
+  public:
+    Traffic(const Json& spec, Ptr<Node> from, Ptr<Node> to, uint16_t port)
+        : m_spec(spec),
+          m_from(from),
+          m_to(to),
+          m_port(port),
+          m_isTcp(spec["protocol"].Text() == "tcp"),
+          m_stop(Seconds(spec["stop_s"].Number()))
+    {
+        m_factory = m_isTcp ? TcpSocketFactory::GetTypeId() : UdpSocketFactory::GetTypeId();
+        if (!m_isTcp)
+        {
+            m_size = static_cast<uint32_t>(spec["bytes"].Number());
+        }
+        else if (spec.Has("bytes"))
+        {
+            m_left = static_cast<uint64_t>(spec["bytes"].Number());
+        }
+    }
+
+    /// Listens at once and sends from `start_s` on, to the address that `address` returns then.
+    void Start(std::function<Ipv4Address()> address)
+    {
+        m_sink = Socket::CreateSocket(m_to, m_factory);
+        m_sink->Bind(InetSocketAddress(Ipv4Address::GetAny(), m_port));
+        m_sink->SetRecvCallback(MakeCallback(&Traffic::Receive, this));
+        if (m_isTcp)
+        {
+            m_sink->Listen();
+            m_sink->SetAcceptCallback(MakeNullCallback<bool, Ptr<Socket>, const Address&>(),
+                                      MakeCallback(&Traffic::Accept, this));
+        }
+        Simulator::Schedule(Seconds(m_spec["start_s"].Number()), [this, address] { Begin(address()); });
+    }
+
+    void Write(std::ostream& out) const
+    {
+        out << "{\"name\":\"" << m_spec["name"].Text() << "\",\"sent\":" << m_sent << ",\"bytes\":" << m_bytes
+            << ",\"last_s\":" << m_last.GetSeconds() << ",\"took_s\":[";
+        for (size_t i = 0; i < m_took.size(); ++i)
+        {
+            out << (i ? "," : "") << m_took[i];
+        }
+        out << "]}";
+    }
+
+  private:
+    /// Packets that a saturated source keeps waiting, as ours.
+    static constexpr uint32_t BACKLOG = 128;
+
+    void Begin(Ipv4Address to)
+    {
+        if (m_isTcp)
+        {
+            static const std::map<std::string, std::string> algorithms{{"reno", "ns3::TcpLinuxReno"},
+                                                                       {"cubic", "ns3::TcpCubic"},
+                                                                       {"bbr", "ns3::TcpBbr"}};
+            const TypeId algorithm = TypeId::LookupByName(algorithms.at(m_spec["congestion_control"].Text()));
+            m_from->GetObject<TcpL4Protocol>()->SetAttribute("SocketType", TypeIdValue(algorithm));
+        }
+        m_socket = Socket::CreateSocket(m_from, m_factory);
+        m_socket->Bind();
+        if (m_isTcp)
+        {
+            m_socket->SetConnectCallback(MakeCallback(&Traffic::Fill, this), MakeNullCallback<void, Ptr<Socket>>());
+            m_socket->SetSendCallback(MakeCallback(&Traffic::FillMore, this));
+        }
+        m_socket->Connect(InetSocketAddress(to, m_port));
+        if (!m_isTcp)
+        {
+            m_spec.Has("rate_bps") ? SendAtRate() : Saturate();
+        }
+    }
+
+    /// Gives a connection all that it takes.
+    void Fill(Ptr<Socket> socket)
+    {
+        while (m_left > 0 && Simulator::Now() < m_stop && socket->GetTxAvailable() > 0)
+        {
+            const int sent = socket->Send(Create<Packet>(std::min<uint64_t>(m_left, socket->GetTxAvailable())));
+            if (sent <= 0)
+            {
+                return;
+            }
+            m_left -= sent;
+        }
+        if (m_left == 0)
+        {
+            socket->Close();
+        }
+    }
+
+    void FillMore(Ptr<Socket> socket, uint32_t)
+    {
+        Fill(socket);
+    }
+
+    void Accept(Ptr<Socket> accepted, const Address&)
+    {
+        accepted->SetRecvCallback(MakeCallback(&Traffic::Receive, this));
+    }
+
+    void SendDatagram()
+    {
+        const Stamp stamp{Simulator::Now().GetNanoSeconds()};
+        Ptr<Packet> packet = Create<Packet>(reinterpret_cast<const uint8_t*>(&stamp), sizeof(Stamp));
+        packet->AddAtEnd(Create<Packet>(std::max<uint32_t>(m_size, sizeof(Stamp)) - sizeof(Stamp)));
+        m_socket->Send(packet);
+        ++m_sent;
+    }
+
+    void SendAtRate()
+    {
+        if (Simulator::Now() >= m_stop)
+        {
+            return;
+        }
+        SendDatagram();
+        double interval = m_size * 8 / m_spec["rate_bps"].Number();
+        if (m_spec["poisson"].Flag())
+        {
+            interval = m_draws->GetValue(interval, 0);
+        }
+        Simulator::Schedule(Seconds(interval), &Traffic::SendAtRate, this);
+    }
+
+    /// Looks each millisecond whether the queues of the node's interfaces want packets.
+    void Saturate()
+    {
+        if (Simulator::Now() >= m_stop)
+        {
+            return;
+        }
+        Ptr<TrafficControlLayer> control = m_from->GetObject<TrafficControlLayer>();
+        auto waiting = [&] {
+            uint32_t packets = 0;
+            for (uint32_t i = 0; i < m_from->GetNDevices(); ++i)
+            {
+                Ptr<NetDevice> device = m_from->GetDevice(i);
+                Ptr<QueueDisc> queue = control->GetRootQueueDiscOnDevice(device);
+                packets += queue ? queue->GetNPackets() : 0;
+                if (Ptr<WifiNetDevice> radio = DynamicCast<WifiNetDevice>(device))
+                {
+                    const AcIndex category = radio->GetMac()->GetQosSupported() ? AC_BE : AC_BE_NQOS;
+                    packets += radio->GetMac()->GetTxopQueue(category)->GetNPackets();
+                }
+            }
+            return packets;
+        };
+        // A datagram that no queue keeps is lost, such as while the node looks for an address: one at a time.
+        bool isTaken = true;
+        for (uint32_t before = waiting(); isTaken && before < BACKLOG; ++before)
+        {
+            SendDatagram();
+            isTaken = waiting() > before;
+        }
+        Simulator::Schedule(MilliSeconds(1), &Traffic::Saturate, this);
+    }
+
+    void Receive(Ptr<Socket> socket)
+    {
+        while (Ptr<Packet> packet = socket->Recv())
+        {
+            m_last = Simulator::Now();
+            m_bytes += packet->GetSize();
+            if (!m_isTcp)
+            {
+                Stamp stamp{};
+                packet->CopyData(reinterpret_cast<uint8_t*>(&stamp), sizeof(Stamp));
+                m_took.push_back((Simulator::Now() - NanoSeconds(stamp.sentNs)).GetSeconds());
+            }
+        }
+    }
+
+    /// The beginning of a datagram.
+    struct Stamp
+    {
+        int64_t sentNs;
+    };
+
+    const Json& m_spec;
+    Ptr<Node> m_from;
+    Ptr<Node> m_to;
+    uint16_t m_port;
+    bool m_isTcp;
+    Time m_stop;
+    TypeId m_factory;
+    Ptr<Socket> m_sink;
+    Ptr<Socket> m_socket;
+    Ptr<ExponentialRandomVariable> m_draws = CreateObject<ExponentialRandomVariable>();
+    /// Bytes of a datagram's payload.
+    uint32_t m_size = 0;
+    /// Bytes that a connection has still to send.
+    uint64_t m_left = std::numeric_limits<uint64_t>::max();
+    uint64_t m_sent = 0;
+    /// Bytes of payloads that arrived, and when the last did.
+    uint64_t m_bytes = 0;
+    Time m_last;
+    /// Times from sender to receiver of datagrams, s.
+    std::vector<double> m_took;
+};
 
 // ---------------------------------------------------------------------------------------------------------------- Air
 
@@ -526,6 +735,11 @@ Run(const std::string& path, uint32_t seed)
     Config::SetDefault("ns3::WifiMacQueue::MaxDelay", TimeValue(Seconds(10)));
     // As Linux's neighbours that stay reachable: no request for an address in the middle of a run.
     Config::SetDefault("ns3::ArpCache::AliveTimeout", TimeValue(Seconds(100000)));
+    // As ours: segments of a path of 1500 bytes with time stamps, and a receiver's window of 6 MiB.
+    Config::SetDefault("ns3::TcpSocket::SegmentSize", UintegerValue(1448));
+    Config::SetDefault("ns3::TcpSocket::InitialCwnd", UintegerValue(10));
+    Config::SetDefault("ns3::TcpSocket::SndBufSize", UintegerValue(6 << 20));
+    Config::SetDefault("ns3::TcpSocket::RcvBufSize", UintegerValue(6 << 20));
 
     InternetStackHelper internet;
     std::map<std::string, Ptr<Node>> nodes;
@@ -591,6 +805,7 @@ Run(const std::string& path, uint32_t seed)
         cellNetworks[name] = network;
         cells[name] = Ipv4AddressHelper(network, Ipv4Mask("255.255.0.0"));
         unitAddresses[name] = cells[name].Assign(NetDeviceContainer(device)).GetAddress(0);
+        TrafficControlHelper().Uninstall(device);
         unit->GetObject<Ipv4L3Protocol>()->TraceConnectWithoutContext(
             "Rx", Callback<void, Ptr<const Packet>, Ptr<Ipv4>, uint32_t>([&owners](Ptr<const Packet> packet, Ptr<Ipv4>, uint32_t) {
                 Ipv4Header header;
@@ -626,13 +841,24 @@ Run(const std::string& path, uint32_t seed)
             {
                 routing.GetStaticRouting(here)->AddHostRouteTo(server, wire.interfaces.GetAddress(1), in);
             }
-            routing.GetStaticRouting(there)->AddNetworkRouteTo(
-                cellNetworks.at(path[0]), Ipv4Mask("255.255.0.0"), wire.interfaces.GetAddress(0), out);
+            // Back to the stations of a radio unit, or to a server at the beginning of the path.
+            auto cell = cellNetworks.find(path[0]);
+            if (cell != cellNetworks.end())
+            {
+                routing.GetStaticRouting(there)->AddNetworkRouteTo(
+                    cell->second, Ipv4Mask("255.255.0.0"), wire.interfaces.GetAddress(0), out);
+            }
+            else if (i > 0)
+            {
+                const Ipv4Address first = wires.at({path[0], path[1]}).interfaces.GetAddress(0);
+                routing.GetStaticRouting(there)->AddHostRouteTo(first, wire.interfaces.GetAddress(0), out);
+            }
         }
     }
 
     // Robots.
     std::map<std::string, Robot> robots;
+    std::map<std::string, Ipv4Address> robotAddresses;
     for (const Json& spec : scenario["robots"].Items())
     {
         const std::string name = spec["name"].Text();
@@ -650,8 +876,11 @@ Run(const std::string& path, uint32_t seed)
                 Ptr<NetDevice> device = networks.at(unitSpec["network"].Text())
                                             ->Install(robot.node, unitSpec, spec["tx_power_dbm"].Number(), false);
                 auto assigned = cells.at(unit).Assign(NetDeviceContainer(device));
+                TrafficControlHelper().Uninstall(device);
                 interfaces[unit] = assigned.Get(0).second;
                 owners[assigned.GetAddress(0)] = &robot;
+                // A robot with sources of traffic has one radio unit only.
+                robotAddresses[name] = assigned.GetAddress(0);
             }
             Simulator::Schedule(Seconds(attachment.Items()[0].Number()), [&robot, &routing, &unitAddresses, unit, interfaces] {
                 Ptr<Ipv4StaticRouting> own = routing.GetStaticRouting(robot.node->GetObject<Ipv4>());
@@ -687,6 +916,21 @@ Run(const std::string& path, uint32_t seed)
         }
     }
 
+    std::vector<std::unique_ptr<Traffic>> traffic;
+    for (const Json& spec : scenario["traffic"].Items())
+    {
+        const std::string from = spec["from"].Text();
+        const std::string to = spec["to"].Text();
+        traffic.push_back(std::make_unique<Traffic>(spec, node(from), node(to), TRAFFIC + traffic.size()));
+        traffic.back()->Start([&robots, &robotAddresses, &addresses, from, to] {
+            auto receiver = robotAddresses.find(to);
+            auto sender = robots.find(from);
+            return receiver != robotAddresses.end()
+                       ? receiver->second
+                       : addresses.at({sender == robots.end() ? from : sender->second.unit, to});
+        });
+    }
+
     Simulator::Stop(Seconds(until));
     Simulator::Run();
     std::cout << std::setprecision(9) << "{\"senders\":[";
@@ -694,6 +938,12 @@ Run(const std::string& path, uint32_t seed)
     {
         std::cout << (i ? "," : "");
         senders[i]->Write(std::cout);
+    }
+    std::cout << "],\"traffic\":[";
+    for (size_t i = 0; i < traffic.size(); ++i)
+    {
+        std::cout << (i ? "," : "");
+        traffic[i]->Write(std::cout);
     }
     std::cout << "],\"robots\":[";
     for (auto robot = robots.begin(); robot != robots.end(); ++robot)

@@ -2,9 +2,9 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_numbers::{Mean, quantile};
+use cotorra_numbers::{Mean, Quantiles};
 
-use crate::{Measured, Ours, Run, ours::Group};
+use crate::{Carried, Measured, Ours, Run, ours::Group};
 
 /// Distances within which two simulators agree: up to these, no decision that stands on the figure changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,7 +26,9 @@ pub enum Figure {
     P99,
     /// Requests above the target or without an answer, %.
     AboveTarget,
-    /// Ethernet frames from a robot at its radio units, Mbit/s.
+    /// Datagrams of a source of traffic that did not arrive, %.
+    Lost,
+    /// Ethernet frames from a robot at its radio units, or payload of a source of traffic that arrived, Mbit/s.
     Throughput,
 }
 
@@ -38,6 +40,7 @@ impl Figure {
             Self::P95 => "p95, ms",
             Self::P99 => "p99, ms",
             Self::AboveTarget => "above target, %",
+            Self::Lost => "lost, %",
             Self::Throughput => "throughput, Mbit/s",
         }
     }
@@ -48,7 +51,7 @@ impl Figure {
             Self::Median => Bound { share: 0.10, least: 0.2 },
             Self::P95 => Bound { share: 0.15, least: 0.5 },
             Self::P99 => Bound { share: 0.20, least: 1.0 },
-            Self::AboveTarget => Bound { share: 0.0, least: 2.0 },
+            Self::AboveTarget | Self::Lost => Bound { share: 0.0, least: 2.0 },
             Self::Throughput => Bound { share: 0.05, least: 0.05 },
         }
     }
@@ -100,39 +103,60 @@ impl Compared {
 pub fn compare(pairs: &[(Ours, Run)], targets: &BTreeMap<String, Duration>) -> Compared {
     let mut rows = Vec::new();
     let Some((first, _)) = pairs.first() else { return Compared { rows } };
-    for Group { name, services, robots } in &first.groups {
-        let gathered: Vec<_> = pairs
-            .iter()
-            .map(|(ours, theirs)| {
-                let [mut our, mut their] = [Gathered::default(), Gathered::default()];
-                for service in services {
-                    let target_ms = targets.get(service).map(|target| target.as_secs_f64() * 1e3);
-                    let skipped = ours.uncounted.get(service);
-                    let counts = |number: &u32| skipped.is_none_or(|skipped| !skipped.contains(number));
-                    our.add(ours.run.senders.get(service), target_ms, counts);
-                    their.add(theirs.senders.get(service), target_ms, counts);
-                }
-                [their, our]
-            })
-            .collect();
-        for figure in [Figure::Median, Figure::P95, Figure::P99, Figure::AboveTarget] {
-            let values =
-                gathered.iter().filter_map(|[theirs, ours]| Some((theirs.of(figure)?, ours.of(figure)?)));
-            rows.extend(row(name, figure, &values.collect::<Vec<_>>()));
+    for group in &first.groups {
+        let mut figures: BTreeMap<Figure, Vec<(f64, f64)>> = BTreeMap::new();
+        for (ours, theirs) in pairs {
+            let mut theirs = group.figures(theirs, ours, targets);
+            for (figure, value) in group.figures(&ours.run, ours, targets) {
+                let both = theirs.remove(&figure).map(|theirs| (theirs, value));
+                figures.entry(figure).or_default().extend(both);
+            }
         }
-        let mbps = |run: &Run| robots.iter().filter_map(|robot| run.mbps.get(robot)).sum::<f64>();
-        let values: Vec<_> = pairs.iter().map(|(ours, theirs)| (mbps(theirs), mbps(&ours.run))).collect();
-        if !robots.is_empty() {
-            rows.extend(row(name, Figure::Throughput, &values));
-        }
+        rows.extend(figures.iter().filter_map(|(figure, values)| row(&group.name, *figure, values)));
     }
     Compared { rows }
+}
+
+impl Group {
+    /// Returns the figures of a run. Requests that do not count in ours do not in the other.
+    fn figures(&self, run: &Run, ours: &Ours, targets: &BTreeMap<String, Duration>) -> BTreeMap<Figure, f64> {
+        let mut figures = BTreeMap::new();
+        let mut gathered = Gathered::default();
+        for service in &self.services {
+            let target_ms = targets.get(service).map(|target| target.as_secs_f64() * 1e3);
+            let skipped = ours.uncounted.get(service);
+            let counts = |number: &u32| skipped.is_none_or(|skipped| !skipped.contains(number));
+            gathered.add(run.senders.get(service), target_ms, counts);
+        }
+        figures.extend(gathered.figures());
+        if !self.robots.is_empty() {
+            let mbps = self.robots.iter().filter_map(|robot| run.mbps.get(robot)).sum();
+            figures.insert(Figure::Throughput, mbps);
+        }
+        let carried: Vec<_> = self.sources.iter().filter_map(|source| run.traffic.get(source)).collect();
+        if !carried.is_empty() {
+            figures.insert(Figure::Throughput, carried.iter().map(|carried| carried.mbps).sum());
+        }
+        let mean = |of: &dyn Fn(&Carried) -> Option<f64>| {
+            let values: Vec<_> = carried.iter().filter_map(|carried| of(carried)).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let of_delay =
+            |quantile: fn(&Quantiles) -> f64| mean(&|carried| carried.delay_ms.as_ref().map(quantile));
+        let means = [
+            (Figure::Median, of_delay(|delay| delay.p50)),
+            (Figure::P95, of_delay(|delay| delay.p95)),
+            (Figure::P99, of_delay(|delay| delay.p99)),
+            (Figure::Lost, mean(&|carried| carried.lost)),
+        ];
+        figures.extend(means.into_iter().filter_map(|(figure, mean)| Some((figure, mean?))));
+        figures
+    }
 }
 
 /// The measurements of a group.
 #[derive(Debug, Default)]
 struct Gathered {
-    /// Rising only when figures are taken.
     took_ms: Vec<f64>,
     sent: u32,
     kept: u32,
@@ -149,18 +173,17 @@ impl Gathered {
         self.took_ms.extend(counted);
     }
 
-    fn of(&self, figure: Figure) -> Option<f64> {
-        let mut times = self.took_ms.clone();
-        times.sort_by(f64::total_cmp);
-        match figure {
-            Figure::Median => quantile(&times, 0.5),
-            Figure::P95 => quantile(&times, 0.95),
-            Figure::P99 => quantile(&times, 0.99),
-            Figure::AboveTarget => {
-                (self.sent > 0).then(|| 100.0 * (1.0 - f64::from(self.kept) / f64::from(self.sent)))
-            }
-            Figure::Throughput => None,
-        }
+    fn figures(&self) -> BTreeMap<Figure, f64> {
+        let times = Quantiles::of(self.took_ms.clone());
+        let above = || 100.0 * (1.0 - f64::from(self.kept) / f64::from(self.sent));
+        let of = |quantile: fn(Quantiles) -> f64| times.map(quantile);
+        let figures = [
+            (Figure::Median, of(|times| times.p50)),
+            (Figure::P95, of(|times| times.p95)),
+            (Figure::P99, of(|times| times.p99)),
+            (Figure::AboveTarget, (self.sent > 0).then(above)),
+        ];
+        figures.into_iter().filter_map(|(figure, value)| Some((figure, value?))).collect()
     }
 }
 
@@ -201,8 +224,8 @@ mod tests {
         let mut gathered = Gathered::default();
         // The last request does not count.
         gathered.add(Some(&measured), Some(15.0), |number| *number < 4);
-        assert_eq!(gathered.of(Figure::AboveTarget), Some(50.0));
-        assert_eq!(gathered.of(Figure::Median), Some(6.0));
-        assert_eq!(Gathered::default().of(Figure::AboveTarget), None);
+        let figures = gathered.figures();
+        assert_eq!((figures[&Figure::AboveTarget], figures[&Figure::Median]), (50.0, 6.0));
+        assert!(Gathered::default().figures().is_empty());
     }
 }

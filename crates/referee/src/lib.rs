@@ -21,6 +21,8 @@ pub use scenario::Scenario;
 
 use std::collections::BTreeMap;
 
+use cotorra_numbers::Quantiles;
+
 /// What was measured of one service or camera of one run.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Measured {
@@ -30,6 +32,17 @@ pub struct Measured {
     pub sent: u32,
 }
 
+/// What was measured of a source of traffic.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Carried {
+    /// Payload that arrived while the source sent, Mbit/s.
+    pub mbps: f64,
+    /// Of datagrams: those that did not arrive, %.
+    pub lost: Option<f64>,
+    /// Of datagrams that arrived: the times from host to host, ms.
+    pub delay_ms: Option<Quantiles>,
+}
+
 /// The measurements of one run: by the name of the sender, and the Mbit/s that came from each robot at its radio units.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Run {
@@ -37,4 +50,6 @@ pub struct Run {
     pub senders: BTreeMap<String, Measured>,
     /// Mbit/s of Ethernet frames by robot.
     pub mbps: BTreeMap<String, f64>,
+    /// By source of traffic.
+    pub traffic: BTreeMap<String, Carried>,
 }

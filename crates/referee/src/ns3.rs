@@ -6,10 +6,14 @@ use std::{
     process::{Command, Output},
 };
 
+use cotorra_numbers::Quantiles;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use crate::{Measured, Ours, Run, Scenario};
+use crate::{
+    Carried, Measured, Ours, Run, Scenario,
+    scenario::{Load, Traffic},
+};
 
 /// The wheel of ns-3, as pip names it.
 pub const WHEEL: &str = "ns3==3.44.post0";
@@ -128,6 +132,31 @@ impl Ns3 {
 struct Printed {
     senders: Vec<PrintedSender>,
     robots: Vec<PrintedRobot>,
+    traffic: Vec<PrintedTraffic>,
+}
+
+#[derive(Deserialize)]
+struct PrintedTraffic {
+    sent: u64,
+    bytes: u64,
+    last_s: f64,
+    took_s: Vec<f64>,
+}
+
+impl PrintedTraffic {
+    fn measured(self, traffic: &Traffic) -> Carried {
+        let seconds = match traffic.load {
+            Load::Tcp { bytes: Some(all), .. } if self.bytes == all => self.last_s - traffic.start_s,
+            _ => traffic.seconds(),
+        };
+        let arrived = self.took_s.len() as f64;
+        Carried {
+            mbps: self.bytes as f64 * 8e-6 / seconds,
+            lost: matches!(traffic.load, Load::Udp { .. })
+                .then(|| 100.0 * (1.0 - arrived / (self.sent as f64).max(1.0))),
+            delay_ms: Quantiles::of(self.took_s.iter().map(|took| took * 1e3).collect()),
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -151,7 +180,9 @@ impl Printed {
             (printed.name, Measured { took_ms, sent: printed.sent })
         });
         let robots = self.robots.into_iter().map(|robot| (robot.name, mbps(robot.bytes)));
-        Run { senders: senders.collect(), mbps: robots.collect() }
+        let traffic = scenario.traffic.iter().zip(self.traffic);
+        let traffic = traffic.map(|(source, printed)| (source.name.clone(), printed.measured(source)));
+        Run { senders: senders.collect(), mbps: robots.collect(), traffic: traffic.collect() }
     }
 }
 

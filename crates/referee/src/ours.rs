@@ -8,16 +8,16 @@ use std::{
 
 use cotorra_fabric::sensitivity;
 use cotorra_graph::{
-    Codel, Conditions, Direction, Event, Link, NodeId, NodeKind, Pie, QueueDiscipline, QueueLimit, Rate, Red,
-    RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed, Timestamp, WifiStandard,
-    WirelessNetwork,
+    Arrivals, Codel, Conditions, Direction, Event, Link, NodeId, NodeKind, Pie, QueueDiscipline, QueueLimit,
+    Rate, Red, RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed, Timestamp, TrafficSource,
+    UdpRate, WifiStandard, WirelessNetwork,
 };
 use cotorra_testbed::{Altered, RunError, Unrecorded, simulate_unrecorded};
 
 use crate::{
-    Measured, Run,
+    Carried, Measured, Run,
     plain::{serves, stations},
-    scenario::{BEFORE, Network, Queue, RadioUnit, Robot, Scenario, Sender, Wire},
+    scenario::{BEFORE, Load, Network, Queue, RadioUnit, Robot, Scenario, Sender, Traffic, Wire},
 };
 
 /// Requests of the first second do not count: ns-3 looks for addresses, and rates begin at the slowest.
@@ -63,6 +63,8 @@ pub(crate) struct Group {
     pub(crate) name: String,
     pub(crate) services: Vec<String>,
     pub(crate) robots: Vec<String>,
+    /// Sources of traffic.
+    pub(crate) sources: Vec<String>,
 }
 
 /// Runs a testbed in virtual time up to `until`. Returns `None` if `go_on` said to stop.
@@ -81,7 +83,7 @@ pub fn ours(
     let altered = Altered::default();
     let run = Unrecorded { seed, until: Some(until), altered: &altered, folder: &folder, text };
     let ended = simulate_unrecorded(Arc::clone(testbed), &run, |event| seen.absorb(event), go_on)?;
-    Ok(ended.map(|_| seen.conclude(testbed, until)))
+    Ok(ended.map(|ended| seen.conclude(testbed, until, &ended.summary.traffic)))
 }
 
 /// What a run showed of what its robots sent.
@@ -166,7 +168,7 @@ impl Seen {
         self.away.entry(robot.clone()).or_default().push([from, at + NEAR]);
     }
 
-    fn conclude(self, testbed: &Testbed, until: Duration) -> Ours {
+    fn conclude(self, testbed: &Testbed, until: Duration, carried: &[cotorra_traffic::Measured]) -> Ours {
         let mut run = Run::default();
         let mut senders = Vec::new();
         let mut uncounted = BTreeMap::new();
@@ -224,6 +226,7 @@ impl Seen {
                 self.bytes.iter().filter(|(link, _)| link.starts_with(&links)).map(|(_, bytes)| bytes).sum();
             run.mbps.insert(node.id.to_string(), bytes as f64 * 8e-6 / until.as_secs_f64());
         }
+        run.traffic = carried.iter().map(|carried| (carried.source.to_string(), arrived(carried))).collect();
         let groups = groups(testbed, &senders);
         let scenario = self.scenario(testbed, until, senders);
         Ours { run, scenario, groups, uncounted }
@@ -235,11 +238,18 @@ impl Seen {
             self.attachments.values().flatten().map(|(_, unit)| unit.as_str()).collect();
         let units =
             || graph.radio_units().filter(|(node, _)| serves(&node.kind) && used.contains(node.id.as_str()));
-        let servers: BTreeSet<String> =
+        let mut servers: BTreeSet<String> =
             senders.iter().flat_map(|sender| &sender.servers).map(|(_, server)| server.clone()).collect();
+        let traffic: Vec<_> = testbed.traffic.iter().map(|source| traffic(source, until)).collect();
+        let is_server =
+            |name: &NodeId| matches!(graph.node(name).map(|node| &node.kind), Some(NodeKind::Server(_)));
+        let ends = || testbed.traffic.iter().flat_map(|source| [&source.from, &source.to]);
+        servers.extend(ends().filter(|end| is_server(end)).map(NodeId::to_string));
+        let senders_on_wires =
+            testbed.traffic.iter().map(|source| &source.from).filter(|from| is_server(from));
         let mut paths = Vec::new();
-        for (unit, _) in units() {
-            paths.extend(servers.iter().filter_map(|server| path(testbed, &unit.id, server)));
+        for from in units().map(|(unit, _)| &unit.id).chain(senders_on_wires.collect::<BTreeSet<_>>()) {
+            paths.extend(servers.iter().filter_map(|server| path(testbed, from, server)));
         }
         let robots = graph.robots().map(|(node, robot)| Robot {
             name: node.id.to_string(),
@@ -281,6 +291,7 @@ impl Seen {
             robots: robots.collect(),
             radio_units: units,
             senders,
+            traffic,
         }
     }
 }
@@ -306,14 +317,70 @@ fn groups(testbed: &Testbed, senders: &[Sender]) -> Vec<Group> {
             };
             let robots =
                 if localizes { Vec::new() } else { services.iter().map(|s| s.robot.to_string()).collect() };
-            groups.push(Group {
-                name,
-                services: services.iter().map(|s| s.id.to_string()).collect(),
-                robots,
-            });
+            let services = services.iter().map(|s| s.id.to_string()).collect();
+            groups.push(Group { name, services, robots, sources: Vec::new() });
         }
     }
+    groups.extend(groups_of_sources(testbed));
     groups
+}
+
+/// Returns the groups of sources of traffic: those with the same load between the same servers or wireless networks.
+fn groups_of_sources(testbed: &Testbed) -> Vec<Group> {
+    let place = |end| match testbed.graph.node(end).map(|node| &node.kind) {
+        Some(NodeKind::Robot(robot)) => robot.network.as_str(),
+        _ => NodeId::as_str(end),
+    };
+    let mut alike: Vec<(_, Vec<&TrafficSource>)> = Vec::new();
+    for source in &testbed.traffic {
+        let kind = (source.load, place(&source.from), place(&source.to));
+        match alike.iter_mut().find(|(other, _)| *other == kind) {
+            Some((_, sources)) => sources.push(source),
+            None => alike.push((kind, vec![source])),
+        }
+    }
+    let groups = alike.into_iter().map(|(_, sources)| Group {
+        name: match &sources[..] {
+            [one] => one.id.to_string(),
+            many => format!("{} to {}", many[0].id, many[many.len() - 1].id),
+        },
+        sources: sources.iter().map(|source| source.id.to_string()).collect(),
+        ..Group::default()
+    });
+    groups.collect()
+}
+
+fn traffic(source: &TrafficSource, until: Duration) -> Traffic {
+    Traffic {
+        name: source.id.to_string(),
+        from: source.from.to_string(),
+        to: source.to.to_string(),
+        start_s: BEFORE + source.start.as_secs_f64(),
+        stop_s: BEFORE + source.stop.map_or(until, |stop| stop.min(until)).as_secs_f64(),
+        load: match source.load {
+            cotorra_graph::Load::Udp { rate, size, arrivals } => Load::Udp {
+                bytes: size,
+                rate_bps: match rate {
+                    UdpRate::Saturated => None,
+                    UdpRate::Rate(rate) => Some(rate.bits_per_second()),
+                },
+                poisson: arrivals == Arrivals::Poisson,
+            },
+            cotorra_graph::Load::Tcp { congestion_control, bytes } => Load::Tcp { congestion_control, bytes },
+        },
+    }
+}
+
+/// Returns what we compare of a source of traffic.
+fn arrived(carried: &cotorra_traffic::Measured) -> Carried {
+    Carried {
+        mbps: carried.goodput_bps * 1e-6,
+        lost: carried
+            .udp
+            .as_ref()
+            .map(|udp| 100.0 * udp.lost as f64 / (carried.sent_packets as f64).max(1.0)),
+        delay_ms: carried.udp.as_ref().and_then(|udp| udp.delay_ms),
+    }
 }
 
 fn request_sender(service: &Service, samples: &[&ServiceTime]) -> Sender {

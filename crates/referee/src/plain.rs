@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    Access, Conditions, HardwareGraph, Loss, NodeKind, Probability, Rate, RateControl, Requests, Testbed,
-    WirelessNetwork,
+    Access, Conditions, HardwareGraph, Loss, NodeId, NodeKind, Probability, Rate, RateControl, Requests,
+    Roaming, Testbed, WirelessNetwork,
 };
 
 /// A testbed for both sides.
@@ -46,10 +46,7 @@ pub fn plain(mut testbed: Testbed) -> Plain {
     if !testbed.graph.links.is_empty() {
         lines.unlike("headers on wires: 2 bytes in ns-3, and 14 here".to_owned());
     }
-    if !testbed.traffic.is_empty() {
-        lines.left_out("sources of traffic".to_owned());
-        testbed.traffic.clear();
-    }
+    plain_traffic(&mut testbed, &mut lines);
     for service in &testbed.services {
         if service.kpis.flow.is_some() {
             lines.unlike(format!("service {}: programs do not run in virtual time, nor in ns-3", service.id));
@@ -67,6 +64,27 @@ pub fn plain(mut testbed: Testbed) -> Plain {
         );
     }
     Plain { testbed, left_out: lines.left_out, unlike: lines.unlike }
+}
+
+/// Leaves the sources of traffic from robots and servers to others. A connection of a robot that changes over would end in
+/// ns-3, and two robots have no path to each other there.
+fn plain_traffic(testbed: &mut Testbed, lines: &mut Lines) {
+    let Testbed { graph, traffic, .. } = testbed;
+    let has_plugins = !testbed.plugins.is_empty();
+    let kind = |end: &NodeId| graph.node(end).map(|node| &node.kind);
+    let stays = |end: &NodeId| matches!(kind(end), Some(NodeKind::Robot(robot)) if robot.roaming == Roaming::default() && !has_plugins);
+    let is_server = |end: &NodeId| matches!(kind(end), Some(NodeKind::Server(_)));
+    traffic.retain(|source| {
+        let ends = [&source.from, &source.to];
+        let is_plain = ends.iter().all(|end| stays(end) || is_server(end)) && ends.iter().any(|end| is_server(end));
+        if !is_plain {
+            lines.left_out(format!(
+                "traffic of {}: in ns-3 it goes between a server and another, or a robot that keeps its radio unit",
+                source.id
+            ));
+        }
+        is_plain
+    });
 }
 
 #[derive(Default)]
@@ -164,10 +182,13 @@ wireless:
 nodes:
   R: { kind: radio_unit, network: lab, position: [0, 0], channel: 1 }
   edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+  cloud: { kind: server, tier: cloud, cpus: 1, memory: 1 GB }
 links:
+  - { ends: [edge, cloud], delay: 5 ms }
   - { ends: [R, edge], delay: 5 ms, jitter: 1 ms, rate: 10 Mbit/s }
 traffic:
-  bulk: { from: R, to: edge, protocol: tcp }
+  bulk: { from: cloud, to: edge, protocol: tcp }
+  up: { from: R, to: edge, protocol: tcp }
 ";
         let testbed = cotorra_testbed_file::parse("lab.yaml", text, ".".as_ref()).unwrap();
         let Plain { testbed: plain, left_out, unlike } = plain(testbed.clone());
@@ -179,8 +200,16 @@ traffic:
             (None, 5)
         );
         let listed = |what: &str| left_out.iter().any(|line| line.starts_with(what));
-        let all =
-            ["shadowing", "fading", "loss", "the delay", "interference", "jitter, loss", "probes", "sources"];
+        let all = [
+            "shadowing",
+            "fading",
+            "loss",
+            "the delay",
+            "interference",
+            "jitter, loss",
+            "probes",
+            "traffic of up",
+        ];
         for what in all {
             assert!(listed(what), "{what}: {left_out:?}");
         }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use cotorra_graph::CongestionControl;
 use serde::Serialize;
 
 /// Time that ns-3's stations have to associate before the run begins, s.
@@ -17,11 +18,12 @@ pub struct Scenario {
     pub(crate) networks: Vec<Network>,
     pub(crate) radio_units: Vec<RadioUnit>,
     pub(crate) wires: Vec<Wire>,
-    /// Nodes of each path from a radio unit to a server.
+    /// Nodes of each path from a radio unit, or a server that is a source of traffic, to a server.
     pub(crate) paths: Vec<Vec<String>>,
     pub(crate) servers: Vec<String>,
     pub(crate) robots: Vec<Robot>,
     pub(crate) senders: Vec<Sender>,
+    pub(crate) traffic: Vec<Traffic>,
 }
 
 impl Scenario {
@@ -109,4 +111,42 @@ pub(crate) struct Sender {
     pub(crate) processing_s: f64,
     /// Age at which an answer counts no more, s.
     pub(crate) timeout_s: f64,
+}
+
+/// A source of traffic from a robot or a server to another.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Traffic {
+    pub(crate) name: String,
+    pub(crate) from: String,
+    pub(crate) to: String,
+    pub(crate) start_s: f64,
+    pub(crate) stop_s: f64,
+    #[serde(flatten)]
+    pub(crate) load: Load,
+}
+
+impl Traffic {
+    /// Returns the time for which it sends, s.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.stop_s - self.start_s
+    }
+}
+
+/// What a source of traffic sends.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "protocol", rename_all = "snake_case")]
+pub(crate) enum Load {
+    Udp {
+        /// Payload of a datagram.
+        bytes: u16,
+        /// Rate of the payloads; none for a source that always has a packet for its first link.
+        rate_bps: Option<u64>,
+        /// Whether the times between datagrams are random.
+        poisson: bool,
+    },
+    Tcp {
+        congestion_control: CongestionControl,
+        /// Bytes to send in all, if there is an end.
+        bytes: Option<u64>,
+    },
 }

@@ -66,8 +66,10 @@ pub enum AgainstError {
     Ns3(#[from] Ns3Error),
     #[error("{}: {reason}", path.display())]
     File { path: PathBuf, reason: io::Error },
-    #[error("no robot of the testbed measures anything that ns-3 can send")]
-    #[diagnostic(help("a service of a robot with a bundled VNF does, such as `program: navigation`"))]
+    #[error("nothing of the testbed measures anything that ns-3 can send")]
+    #[diagnostic(help(
+        "a service of a robot with a bundled VNF does, such as `program: navigation`, and a source of `traffic`"
+    ))]
     Nothing,
     #[error("--out takes the comparison of one testbed file, and here are {0}")]
     #[diagnostic(help("name one testbed file, or leave --out out"))]
@@ -97,7 +99,7 @@ pub fn against(
     };
     let targets: BTreeMap<_, _> =
         testbed.services.iter().map(|service| (service.id.to_string(), service.kpis.service_time)).collect();
-    if pairs.iter().all(|(ours, _)| ours.run.senders.is_empty()) {
+    if pairs.iter().all(|(ours, _)| ours.run.senders.is_empty() && ours.run.traffic.is_empty()) {
         return Err(AgainstError::Nothing.into());
     }
     let compared = compare(&pairs, &targets);

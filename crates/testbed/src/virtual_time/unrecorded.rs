@@ -96,6 +96,7 @@ fn in_memory(
             _ if !go_on() => return Ok(None),
             _ => continue,
         };
+        report.carried(simulation.traffic());
         let summary = report.summary(now, end.as_str(), Losses::default());
         return Ok(Some(UnrecordedRun { summary, forked: simulation.forked().cloned() }));
     }
