@@ -218,6 +218,18 @@ impl LikelihoodField {
         f64::from((score / votes - miss) / (hit - miss))
     }
 
+    /// Returns the score of a beam that ends at this column and row, or at the nearest cell of the map.
+    pub(crate) fn at(&self, column: f64, row: f64) -> f32 {
+        let whole = |value: f64, size: usize| (value as usize).clamp(1, size.max(1));
+        let row_length = (1 << self.shift) + BETWEEN_ROWS as usize;
+        self.table[whole(row, self.size.1) * row_length + whole(column, self.size.0)]
+    }
+
+    /// Returns the probability that a beam with this score ended at a wall.
+    pub(crate) fn hit(&self, score: f64) -> f64 {
+        1.0 - (f64::from(self.range[1]) - score).exp()
+    }
+
     /// Returns the second moments of column, row and heading about a place, in cells, for a robot anywhere on the map.
     pub(crate) fn anywhere_about(&self, column: f64, row: f64) -> [f64; 9] {
         let (width, height) = (self.size.0 as f64, self.size.1 as f64);

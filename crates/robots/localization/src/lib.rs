@@ -6,6 +6,7 @@ mod belief;
 mod bins;
 pub mod carmen;
 mod cluster;
+mod disagreement;
 mod doubt;
 mod error;
 mod fast;

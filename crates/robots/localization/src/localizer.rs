@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::{
     belief::{Belief, cholesky},
     cluster::Cluster,
+    disagreement,
     doubt::{Odds, Usual, neutral},
     error::LocalizationError,
     field::LikelihoodField,
@@ -54,6 +55,8 @@ pub struct Localizer {
     odometry: Option<Pose2>,
     /// Second moments about the estimate as of the last update, in cells.
     about: [f64; 9],
+    /// Covariance by which the parts of the last used scan disagree, in cells.
+    disagreement: [f64; 9],
     updates: u32,
     /// Whether the first scan is still to locate the robot on the whole map.
     anywhere: bool,
@@ -147,6 +150,7 @@ impl Localizer {
             usual: Usual::new(),
             odometry: None,
             about: [0.0; 9],
+            disagreement: [0.0; 9],
             updates: 0,
             anywhere: false,
         };
@@ -222,6 +226,11 @@ impl Localizer {
         }
         self.followed.settle(&self.bench);
         self.about = self.mixture();
+        if self.bench.weighs_by_likelihood() && self.bench.parameters.disagreement > 0.0 {
+            let Bench { field, beams, parameters, .. } = &self.bench;
+            let sigma = parameters.beams.sigma_hit;
+            self.disagreement = disagreement::covariance(field, beams, sigma, &self.followed.cluster);
+        }
         // Each search near by adds particles.
         let crowded = self.followed.particles.len() > self.bench.parameters.max_particles;
         let due = match self.bench.parameters.resample_interval {
@@ -313,12 +322,14 @@ impl Localizer {
     fn estimate(&self, updated: bool) -> Estimate {
         let Cluster { column, row, heading, .. } = self.followed.cluster;
         let resolution = self.bench.field.resolution();
-        let mut covariance = in_cells(&self.about, resolution.recip());
+        let parameters = &self.bench.parameters;
+        let all = std::array::from_fn(|i| self.about[i] + parameters.disagreement * self.disagreement[i]);
+        let mut covariance = in_cells(&all, resolution.recip());
         if self.bench.weighs_by_likelihood() {
             // A wall may be anywhere in its cell: a uniform error that all scans share, so that more beams do not reduce
             // it.
             let cell = resolution.powi(2) / 12.0;
-            let [way, turn] = self.bench.parameters.systematic;
+            let [way, turn] = parameters.systematic;
             covariance[0] += cell + way * way;
             covariance[4] += cell + way * way;
             covariance[8] += turn * turn;

@@ -65,6 +65,9 @@ pub struct Parameters {
     /// Standard deviations of the errors that all scans share, metres and radians: of the map, the lidar's mount and the
     /// beams' directions. No number of beams reduces them.
     pub systematic: [f64; 2],
+    /// Factor of the covariance by which the parts of a scan disagree about the pose: 1 if their errors are independent, as
+    /// on an exact map. 0 leaves it out, and [`Weighing::Amcl`] always does.
+    pub disagreement: f64,
     /// Distance from the last used scan at which the next one is used, metres.
     pub update_distance: f64,
     /// Turn since the last used scan at which the next one is used, radians.
@@ -94,6 +97,7 @@ impl Parameters {
             weighing: Weighing::Amcl,
             motion: MotionNoise { alpha: [0.2; 4], variance_as_deviation: true },
             systematic: [0.0; 2],
+            disagreement: 0.0,
             update_distance: 0.25,
             update_angle: 0.2,
             resample_interval: Some(2),
@@ -110,6 +114,7 @@ impl Parameters {
             motion: MotionNoise { alpha: [0.005, 0.000_5, 0.006, 0.000_5], variance_as_deviation: false },
             // In a testbed, the map is exactly what the lidar sees.
             systematic: [0.01, 0.002],
+            disagreement: 1.0,
             ..default
         }
     }
@@ -132,7 +137,8 @@ impl Default for Parameters {
             },
             weighing: Weighing::Likelihood { correlation_length: 0.5 },
             motion: MotionNoise { alpha: [0.1, 0.02, 0.02, 0.01], variance_as_deviation: false },
-            systematic: [0.034, 0.008],
+            systematic: [0.01, 0.005],
+            disagreement: 6.0,
             update_distance: 0.25,
             update_angle: 0.2,
             resample_interval: None,

@@ -1,4 +1,4 @@
-//! Reference trajectories of public data sets, and errors of estimates against them.
+//! Reference trajectories of public data sets, errors of estimates against them, and how well deviations foretell errors.
 
 use std::{fmt, io::BufRead};
 
@@ -213,6 +213,24 @@ impl fmt::Display for Errors {
     }
 }
 
+/// Returns Spearman's rank correlation, i.e. the correlation of the ranks. Equal values share the mean of their ranks.
+pub fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
+    let middle = (a.len() as f64 - 1.0) / 2.0;
+    let ranks = |values: &[f64]| {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let rank = |value: &f64| {
+            let below = sorted.partition_point(|other| other < value);
+            let upto = sorted.partition_point(|other| other <= value);
+            (below + upto - 1) as f64 / 2.0 - middle
+        };
+        values.iter().map(rank).collect::<Vec<f64>>()
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let sum = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    sum(&a, &b) / (sum(&a, &a) * sum(&b, &b)).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -253,6 +271,14 @@ mod tests {
         let far = "line 1: the row of `trajectory` is (20000000.0, 0.0), but no map reaches beyond 1e7 m";
         assert_eq!(wrong("1,2e7,0,0\n"), far);
         assert_eq!(wrong("1,2,3\n"), "line 1: `trajectory` ends before its heading");
+    }
+
+    #[test]
+    fn rank_correlation_sees_the_order_only() {
+        let a = [1.0, 2.0, 3.0, 4.0];
+        assert!((rank_correlation(&a, &[0.1, 0.2, 0.4, 80.0]) - 1.0).abs() < 1e-12);
+        assert!((rank_correlation(&a, &[4.0, 3.0, 2.0, -9.0]) + 1.0).abs() < 1e-12);
+        assert_eq!(rank_correlation(&a, &[1.0, 2.0, 2.0, 1.0]), 0.0);
     }
 
     #[test]
