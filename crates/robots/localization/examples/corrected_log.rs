@@ -12,16 +12,13 @@
 //! freiburg-079, freiburg-campus, intel and seattle. The others are for testing: aces, csail, fhw, freiburg-101,
 //! infinite-corridor and orebro. Three of these revealed defects that were fixed; docs/use/localization.md names them.
 
-use std::{
-    env, error::Error, f64::consts::PI, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc,
-    thread,
-};
+use std::{env, error::Error, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc, thread};
 
 use cotorra_graph::{Cell, OccupancyGrid, Position};
 use cotorra_localization::{
     Belief, LikelihoodField, Localizer, Parameters, Pose2,
     carmen::{Laser, Log, Message},
-    trajectory::rank_correlation,
+    trajectory::{best_correlation, rank_correlation},
 };
 use cotorra_numbers::Draws;
 
@@ -236,16 +233,6 @@ fn deviation(belief: &Belief) -> f64 {
     (belief.covariance[0] + belief.covariance[4]).sqrt()
 }
 
-/// Returns the largest correlation that the logarithms of deviations can have with those of the errors, if each error is
-/// normal with its deviation: the logarithm of a normal error in the plane varies by at least π²/24 on its own.
-fn ceiling(errors: &[f64]) -> f64 {
-    let logs: Vec<f64> = errors.iter().filter(|error| **error > 0.0).map(|error| error.ln()).collect();
-    let count = logs.len() as f64;
-    let mean = logs.iter().sum::<f64>() / count;
-    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / count;
-    (1.0 - PI.powi(2) / 24.0 / variance).max(0.0).sqrt()
-}
-
 /// Formats a row of the table, without its ends.
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -259,7 +246,7 @@ impl fmt::Display for Outcome {
         write!(f, "{:.3} m | ", (self.squares / count).sqrt())?;
         write!(f, "{:.1} % | {:.1} | ", 100.0 * self.inside as f64 / count, self.nees / count)?;
         write!(f, "{:.2} | ", rank_correlation(&self.deviations, &self.positions))?;
-        write!(f, "{:.2} | ", ceiling(&self.positions))?;
+        write!(f, "{:.2} | ", best_correlation(&self.positions))?;
         let claimed = 100.0 * self.claimed as f64 / (self.lost as f64).max(1.0);
         let farthest = self.recovery.iter().copied().fold(0.0, f64::max);
         write!(f, "{} | {claimed:.1} % of {} | ", self.recovery.len(), self.lost)?;

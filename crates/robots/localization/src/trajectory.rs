@@ -1,6 +1,6 @@
 //! Reference trajectories of public data sets, errors of estimates against them, and how well deviations foretell errors.
 
-use std::{fmt, io::BufRead};
+use std::{f64::consts::PI, fmt, io::BufRead};
 
 use cotorra_numbers::Gathered;
 
@@ -231,8 +231,22 @@ pub fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
     sum(&a, &b) / (sum(&a, &a) * sum(&b, &b)).sqrt()
 }
 
+/// Returns the largest correlation that the logarithms of deviations can have with those of the errors, if each error is
+/// normal with its deviation. Zeros are left out.
+///
+/// The logarithm of a normal error in the plane varies by at least π²/24 on its own, whatever its deviation is.
+pub fn best_correlation(errors: &[f64]) -> f64 {
+    let logs: Vec<f64> = errors.iter().filter(|error| **error > 0.0).map(|error| error.ln()).collect();
+    let count = logs.len() as f64;
+    let mean = logs.iter().sum::<f64>() / count;
+    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / count;
+    (1.0 - PI.powi(2) / 24.0 / variance).max(0.0).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
+    use cotorra_numbers::Draws;
+
     use super::*;
 
     fn read(text: &str) -> Trajectory {
@@ -279,6 +293,26 @@ mod tests {
         assert!((rank_correlation(&a, &[0.1, 0.2, 0.4, 80.0]) - 1.0).abs() < 1e-12);
         assert!((rank_correlation(&a, &[4.0, 3.0, 2.0, -9.0]) + 1.0).abs() < 1e-12);
         assert_eq!(rank_correlation(&a, &[1.0, 2.0, 2.0, 1.0]), 0.0);
+    }
+
+    #[test]
+    fn perfect_deviations_have_about_the_best_rank_correlation() {
+        let mut random = Draws::from_seed(1);
+        // Deviations with a normal logarithm, and a small and a large one.
+        for normal in [true, false] {
+            let draw = |random: &mut Draws| {
+                let log = if normal { random.normal() } else { 2.0 * random.below(2) as f64 - 1.0 };
+                (0.4 * log).exp()
+            };
+            let deviations: Vec<f64> = (0..20_000).map(|_| draw(&mut random)).collect();
+            let errors: Vec<f64> =
+                deviations.iter().map(|size| size * random.normal().hypot(random.normal())).collect();
+            let (rank, best) = (rank_correlation(&deviations, &errors), best_correlation(&errors));
+            assert!(
+                (0.5..0.56).contains(&best) && (best - 0.02..best + 0.06).contains(&rank),
+                "{rank} {best}"
+            );
+        }
     }
 
     #[test]
