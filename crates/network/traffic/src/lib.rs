@@ -117,7 +117,8 @@ impl Measured {
             retransmitted_packets, timeouts, round_trip_ms, finished_after_ms, ..
         }) = tcp
         {
-            text += &format!("; {retransmitted_packets} of {sent} packets sent again, {timeouts} timeouts");
+            let s = if *timeouts == 1 { "" } else { "s" };
+            text += &format!("; {retransmitted_packets} of {sent} packets sent again, {timeouts} timeout{s}");
             if let Some(ms) = finished_after_ms {
                 text += &format!("; all arrived after {:.2} s", ms / 1e3);
             }

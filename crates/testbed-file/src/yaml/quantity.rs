@@ -287,6 +287,11 @@ impl Decode for UdpRate {
         if node.text() == Some("saturated") {
             return Some(Self::Saturated);
         }
+        if node.text().is_some_and(|text| text.starts_with(char::is_alphabetic)) {
+            sink.error(&node.span, format!("{} is not a rate", node.describe()))
+                .help("write it like `10 Mbit/s`, or `saturated`");
+            return None;
+        }
         BitRate::decode(node, sink).map(Self::Rate)
     }
 }
