@@ -59,6 +59,7 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     }
     text += &doubts(runs);
     text += &services(runs, &cells);
+    text += &sources(runs, &cells);
     text += &differences(runs);
     if void > 0 {
         text += &format!("\n{}\n", words::logs());
@@ -113,6 +114,23 @@ fn services(runs: &Runs, cells: &[Cell]) -> String {
         text += &format!("\nwithout samples: {}\n", names.join(", "));
     }
     text
+}
+
+/// Returns the table of what arrived of each source of traffic; empty without sources.
+fn sources(runs: &Runs, cells: &[Cell]) -> String {
+    let mut table = Table::new(&("<".repeat(runs.axes.len() + 1) + ">"));
+    let heads = ["traffic", "goodput, Mbit/s"].map(str::to_owned);
+    table.row(runs.axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
+    let rows = || cells.iter().flat_map(|cell| cell.goodput_bps.iter().map(move |its| (&cell.values, its)));
+    for (values, (source, goodput)) in rows().take(LISTED) {
+        table.row(values.iter().cloned().chain([source.to_string(), goodput.times(1e-6)]));
+    }
+    let table = format!("\n{}", table.render("  "));
+    match rows().count() {
+        0 => String::new(),
+        all if all > LISTED => format!("{table}  and {} more in traffic.csv\n", all - LISTED),
+        _ => table,
+    }
 }
 
 /// Figures whose differences the terminal shows, with their names and factors.

@@ -1,6 +1,8 @@
 //! Statistics over the runs of one combination.
 
-use cotorra_graph::{NodeId, ServiceId, Statistic, Total};
+use std::collections::BTreeMap;
+
+use cotorra_graph::{NodeId, ServiceId, Statistic, Total, TrafficId};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
 use cotorra_testbed::{Verdict, Void};
 use serde::Serialize;
@@ -40,6 +42,8 @@ pub struct Cell {
     pub verdicts: Verdicts,
     /// Each service, in the file's order.
     pub services: Vec<ServiceCell>,
+    /// The runs' goodputs of each source of traffic, bit/s.
+    pub goodput_bps: Vec<(TrafficId, Interval)>,
 }
 
 /// Numbers of verdicts.
@@ -164,6 +168,7 @@ impl Cell {
             longest_blind_m: over(|run| Some(run.longest_blind_m)),
             verdicts: Verdicts::of(runs.iter().map(|run| run.verdict())),
             services: ServiceCell::all(&runs),
+            goodput_bps: goodputs(&runs),
         }
     }
 
@@ -229,6 +234,16 @@ impl ServiceCell {
             total(Total::Unanswered, self.unanswered),
         ]
     }
+}
+
+/// Returns the goodputs of each source over runs.
+fn goodputs(runs: &[&Measured]) -> Vec<(TrafficId, Interval)> {
+    let mut sources: BTreeMap<&TrafficId, Vec<f64>> = BTreeMap::new();
+    for (source, goodput) in runs.iter().flat_map(|run| &run.goodput_bps) {
+        sources.entry(source).or_default().push(*goodput);
+    }
+    let interval = |(source, values): (&TrafficId, Vec<f64>)| Some((source.clone(), Interval::of(&values)?));
+    sources.into_iter().filter_map(interval).collect()
 }
 
 /// Returns the interval of the share above the target, of runs with their numbers of samples.
@@ -371,6 +386,7 @@ mod tests {
         services: Vec::new(),
         time_parts: Vec::new(),
         losses: Vec::new(),
+        goodput_bps: Vec::new(),
         regions: Vec::new(),
     };
 }

@@ -25,9 +25,12 @@ pub const FILES: [&str; 10] = [
 
 /// A row per KPI of a run, where services have KPIs beside their targets.
 const KPIS: &str = "kpis.csv";
+/// A row per source of traffic of a run, with its goodput, where there are sources.
+const TRAFFIC: &str = "traffic.csv";
 
 impl Runs {
-    /// Writes [`FILES`] into the folder of a journal, and `kpis.csv` where services have KPIs beside their targets. Of the samples there, only those of these runs stay.
+    /// Writes [`FILES`] into the folder of a journal, `kpis.csv` where services have KPIs beside their targets, and
+    /// `traffic.csv` where there are sources of traffic. Of the samples there, only those of these runs stay.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -56,6 +59,9 @@ impl Runs {
         csv(of_unanswered, tables::unanswered(self))?;
         if let Some(of_kpis) = tables::kpis(self) {
             csv(KPIS, of_kpis)?;
+        }
+        if let Some(of_traffic) = tables::traffic(self) {
+            csv(TRAFFIC, of_traffic)?;
         }
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         let measured = self.done.iter().filter(|done| done.outcome.measured().is_some());

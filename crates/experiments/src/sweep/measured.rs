@@ -1,6 +1,6 @@
 //! Results of one run of a sweep.
 
-use cotorra_graph::{NodeId, PluginId, ServiceId, Statistic, Timestamp, Total};
+use cotorra_graph::{NodeId, PluginId, ServiceId, Statistic, Timestamp, Total, TrafficId};
 use cotorra_testbed::{Judged, Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -63,6 +63,9 @@ pub struct Measured {
     /// Places where samples without an answer ended.
     #[serde(default)]
     pub losses: Vec<MeasuredLoss>,
+    /// Goodput of each source of traffic, bit/s.
+    #[serde(default)]
+    pub goodput_bps: Vec<(TrafficId, f64)>,
     /// Stretches of services with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -164,6 +167,7 @@ impl Measured {
             services: summary.services.iter().map(MeasuredService::of).collect(),
             time_parts: MeasuredPart::of(summary),
             losses: MeasuredLoss::of(summary),
+            goodput_bps: summary.traffic.iter().map(|its| (its.source.clone(), its.goodput_bps)).collect(),
             regions: summary.regions.iter().map(region).collect(),
         }
     }

@@ -1,5 +1,6 @@
 //! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
 
+use cotorra_graph::TrafficId;
 use cotorra_testbed::{DataTable, Judged, Void, name_of_total};
 
 use super::{
@@ -117,6 +118,15 @@ pub(super) fn time_parts(runs: &Runs) -> DataTable {
         };
         measured.time_parts.iter().map(row).collect()
     })
+}
+
+/// Returns a row for each source of traffic of each run; `None` without sources.
+pub(super) fn traffic(runs: &Runs) -> Option<DataTable> {
+    measured(runs).find(|measured| !measured.goodput_bps.is_empty())?;
+    Some(rows(runs, ["seed", "source"], &["goodput_bps".to_owned()], |measured| {
+        let row = |(source, goodput): &(TrafficId, f64)| vec![source.to_string(), number(Some(*goodput))];
+        measured.goodput_bps.iter().map(row).collect()
+    }))
 }
 
 /// Returns the results of the runs that have some.

@@ -568,3 +568,27 @@ fn a_shard_makes_the_runs_of_another_sweep_again() {
     assert_eq!((other.resumed, other.again.to_string()), (0, "--until changed: 1 run again\n".to_owned()));
     assert_eq!(go_on(&of(3).seeds(2)).unwrap().resumed, 1, "more seeds add to it");
 }
+
+#[test]
+fn goodputs_of_sources_have_a_table_and_intervals() {
+    let text = "name: traffic\nprobes: none\nnodes:\n  \
+                a: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n  \
+                b: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n\
+                links: [{ ends: [a, b], delay: 1 ms, rate: 10 Mbit/s }]\n\
+                traffic:\n  full: { from: a, to: b, protocol: udp, rate: saturated }\n";
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
+    let sweep =
+        Sweep::new("traffic.yaml", text.to_owned(), Path::new("")).until(Some(Duration::from_secs(5)));
+    let sweep = sweep.axis("links.a-b.rate=10 Mbit/s,20 Mbit/s".parse().unwrap()).seeds(3);
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    runs.write(&folder).unwrap();
+    let table = fs::read_to_string(folder.path().join("traffic.csv")).unwrap();
+    assert!(table.starts_with("links.a-b.rate,seed,source,goodput_bps,"), "{table}");
+    assert_eq!(table.matches(",full,").count(), 2 * 3, "{table}");
+    for (cell, rate) in runs.cells().iter().zip([10e6, 20e6]) {
+        let [(source, goodput)] = &cell.goodput_bps[..] else { panic!("{cell:?}") };
+        assert_eq!((source.as_str(), goodput.n), ("full", 3));
+        assert!(goodput.mean > 0.95 * rate && goodput.mean < rate, "{goodput:?}");
+    }
+}
