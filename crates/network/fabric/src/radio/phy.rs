@@ -156,8 +156,9 @@ const ACK_BYTES: u32 = 14;
 /// RTS and CTS, bytes (9.3.1.2, 9.3.1.3).
 const RTS_BYTES: u32 = 20;
 const CTS_BYTES: u32 = 14;
-/// A compressed block acknowledgement, bytes (9.3.1.8.2).
+/// A compressed block acknowledgement of 64 frames, and one of 256, bytes (9.3.1.8.2).
 const BLOCK_ACK_BYTES: u32 = 32;
+const LONG_BLOCK_ACK_BYTES: u32 = 56;
 /// Bytes that an Ethernet frame gains on the air: a data frame's MAC header (24) and FCS (4), LLC and SNAP (8) and CCMP
 /// (16), less the Ethernet header (14) (9.3.2.1, 12.5.3).
 const MAC_OVERHEAD: u32 = 24 + 4 + 8 + 16 - 14;
@@ -193,6 +194,8 @@ pub(super) struct Phy {
     overhead_bytes: u32,
     /// Longest A-MPDU, bytes (9.4.2.55.3, 9.4.2.157.2); `None` without aggregation.
     longest_aggregate: Option<u64>,
+    /// Frames of an A-MPDU, at most: those of a block acknowledgement agreement (9.4.1.13; 802.11ax: 26.4.2).
+    aggregated_frames: usize,
     /// Bits of the headers: L-SIG, and HT-SIG, VHT-SIG-A or HE-SIG-A.
     header_bits: f64,
 }
@@ -328,7 +331,18 @@ impl Layer {
             }
         };
         let streams = if self.standard.aggregates() { usize::from(self.streams) } else { 1 };
-        Phy { modes, streams, sifs_us, extension_us, overhead_bytes, longest_aggregate, header_bits }
+        // Linux asks for as many with 802.11ax (`ieee80211_send_addba_with_timeout` in net/mac80211/agg-tx.c).
+        let aggregated_frames = if self.standard == WifiStandard::Ax { 256 } else { 64 };
+        Phy {
+            modes,
+            streams,
+            sifs_us,
+            extension_us,
+            overhead_bytes,
+            longest_aggregate,
+            aggregated_frames,
+            header_bits,
+        }
     }
 }
 
@@ -377,6 +391,11 @@ impl Phy {
     pub(super) fn top_rate(&self) -> BitRate {
         let bits_per_second = self.modes[self.modes.len() - 1].bits_per_second();
         BitRate::from_bits_per_second(bits_per_second).expect("every mode carries bits")
+    }
+
+    /// Returns the frames of an A-MPDU, at most.
+    pub(super) fn aggregated_frames(&self) -> usize {
+        self.aggregated_frames
     }
 
     fn psdu_bytes(&self, frame_bytes: usize) -> u32 {
@@ -431,7 +450,8 @@ impl Phy {
 
     /// Returns the airtime of a block acknowledgement of an A-MPDU.
     pub(super) fn block_ack_airtime(&self, mode: usize) -> Duration {
-        Duration::from_micros(self.answer_us(&self.modes[mode], BLOCK_ACK_BYTES))
+        let bytes = if self.aggregated_frames > 64 { LONG_BLOCK_ACK_BYTES } else { BLOCK_ACK_BYTES };
+        Duration::from_micros(self.answer_us(&self.modes[mode], bytes))
     }
 
     /// Returns the airtimes of RTS and CTS, at the lowest basic rate.

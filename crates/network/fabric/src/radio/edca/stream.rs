@@ -9,10 +9,6 @@ use crate::{
     radio::medium::{Queue, Waiting},
 };
 
-/// Frames from the first unsettled one on that may be on their way: the window of a compressed block acknowledgement
-/// (9.3.1.8.2).
-const WINDOW: usize = 64;
-
 /// A frame that was sent at least once.
 #[derive(Debug)]
 struct Sent {
@@ -52,7 +48,7 @@ pub(super) struct Outcome {
 /// Frames that are sent together.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Batch {
-    /// Frames at most.
+    /// Frames at most, and from the first unsettled one on: the window of a block acknowledgement (9.3.1.8.2).
     pub(super) frames: usize,
     /// Sum of the costs at most. The first frame goes whatever its cost.
     pub(super) cost: u64,
@@ -86,7 +82,7 @@ impl Stream {
     /// Whether a frame is to be sent.
     pub(super) fn is_ready(&self) -> bool {
         let retries = self.window.iter().any(|sent| sent.state == State::ToRetry);
-        retries || (self.window.len() < WINDOW && !self.queue.is_empty())
+        retries || !self.queue.is_empty()
     }
 
     /// Returns how often its receiver has changed.
@@ -131,7 +127,7 @@ impl Stream {
             }
             sent.state = State::OnAir;
         }
-        while self.window.len() < WINDOW && self.queue.front().is_some_and(&mut takes) {
+        while self.window.len() < batch.frames && self.queue.front().is_some_and(&mut takes) {
             let Some(waiting) = self.queue.pop() else { break };
             let state = State::OnAir;
             let (began, first) = (Timestamp::ZERO, Duration::ZERO);

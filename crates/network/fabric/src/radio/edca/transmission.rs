@@ -26,7 +26,7 @@ const ENERGY_DETECTION: Dbm = Dbm(-62.0);
 const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 /// A frame by itself.
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
-/// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
+/// Frames of an A-MPDU of a foreign radio, at most (IEEE 802.11-2020, 10.12.2).
 pub(super) const AGGREGATED_FRAMES: usize = 64;
 /// Airtime of an A-MPDU, at most: aPPDUMaxTime, and what the length in L-SIG can say (IEEE 802.11-2020, table 21-28,
 /// 19.3.9.3.5).
@@ -201,7 +201,7 @@ impl Radio {
         let mode = attempt.mode;
         let batch = match phy.aggregate_within(mode, LONGEST_AGGREGATE) {
             Some(bytes) if !attempt.alone && self.aggregates(emitter) => {
-                Batch { frames: AGGREGATED_FRAMES, cost: bytes }
+                Batch { frames: phy.aggregated_frames(), cost: bytes }
             }
             _ => SINGLE,
         };
