@@ -660,10 +660,9 @@ class Network
         {
             he->SetGuardInterval(guardInterval);
         }
-        if (!m_spec["aggregation"].Flag())
-        {
-            device->GetMac()->SetAttribute("BE_MaxAmpduSize", UintegerValue(0));
-        }
+        // ns-3 bounds it by the standard. Its default is that of 802.11n.
+        const uint32_t longest = m_spec["aggregation"].Flag() ? 6500631 : 0;
+        device->GetMac()->SetAttribute("BE_MaxAmpduSize", UintegerValue(longest));
         return device;
     }
 
