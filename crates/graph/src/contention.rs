@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    queue::{QueueDiscipline, QueueLimit},
     units::{Dbm, Position, Probability, millis},
     wifi_software::WifiSoftware,
 };
@@ -125,6 +126,16 @@ pub struct Edca {
     /// Sleep of stations. Without it, they never sleep.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub power_save: Option<PowerSave>,
+    /// Limit of each sender's queue for one receiver and category.
+    #[serde(default, skip_serializing_if = "is_usual")]
+    pub queue: QueueLimit,
+    /// Discipline of these queues: drop tail or FQ-CoDel. With the latter, radio units give stations equal shares of airtime.
+    #[serde(default, skip_serializing_if = "QueueDiscipline::is_drop_tail")]
+    pub queue_discipline: QueueDiscipline,
+}
+
+fn is_usual(limit: &QueueLimit) -> bool {
+    *limit == QueueLimit::default()
 }
 
 /// Sleep between beacons (IEEE 802.11-2020, 11.2.3), as Linux's stations do it by default.

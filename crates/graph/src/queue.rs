@@ -4,7 +4,10 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{Probability, millis};
+use crate::{
+    hardware::WifiStandard,
+    units::{Probability, millis},
+};
 
 /// Limit of a link's queue, without the packet in transmission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -14,6 +17,16 @@ pub enum QueueLimit {
     Packets(u32),
     /// Limit in bytes of Ethernet frames, as rates count them.
     Bytes(u64),
+}
+
+impl QueueLimit {
+    /// Returns the limit of Linux's mac80211: 16 MiB of memory with VHT, and 4 MiB without (`fq_init` in `include/net/fq_impl.h`,
+    /// `ieee80211_txq_setup_flows` in `net/mac80211/tx.c`). A full frame takes 2304 bytes: 2048 and its `struct sk_buff`.
+    pub const fn mac80211(standard: WifiStandard) -> Self {
+        let memory_mib =
+            if matches!(standard, WifiStandard::G | WifiStandard::A | WifiStandard::N) { 4 } else { 16 };
+        Self::Packets((memory_mib << 20) / 2304)
+    }
 }
 
 impl Default for QueueLimit {
@@ -85,6 +98,16 @@ pub struct FqCodel {
 }
 
 impl FqCodel {
+    /// The parameters of Linux's mac80211 (`fq_init` in `include/net/fq_impl.h`, `ieee80211_txq_setup_flows` in
+    /// `net/mac80211/tx.c`).
+    pub const MAC80211: Self = Self {
+        target: Duration::from_millis(20),
+        interval: Duration::from_millis(100),
+        flows: 4096,
+        quantum: 300,
+        ecn: true,
+    };
+
     /// Returns the parameters of each flow's CoDel.
     pub const fn codel(&self) -> Codel {
         Codel { target: self.target, interval: self.interval, ecn: self.ecn }

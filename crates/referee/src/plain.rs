@@ -126,6 +126,8 @@ fn plain_network(name: &str, network: &mut WirelessNetwork, lines: &mut Lines) {
             out(!contention.interference.is_empty(), "interference");
             contention.interference.clear();
             out(contention.edca.power_save.take().is_some(), "sleep");
+            out(!contention.edca.queue_discipline.is_drop_tail(), "FQ-CoDel and shares of airtime");
+            (contention.edca.queue, contention.edca.queue_discipline) = Default::default();
             out(contention.software.take().is_some(), "hostapd and wpa_supplicant");
         }
     }

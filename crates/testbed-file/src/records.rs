@@ -299,6 +299,9 @@ record! {
         aggregation: Option<Spanned<bool>>,
         /// How stations sleep between beacons. Without it, they never do.
         power_save: Option<PowerSaveRecord>,
+        /// Limit of the queue of each sender for one receiver and category, which drops at its tail, or a mapping with
+        /// `drop_tail` or `fq_codel`. Without it: FQ-CoDel and shares of airtime as in Linux.
+        queue: Option<Spanned<Either<QueueLimit, QueueRecord>>>,
     }
 }
 

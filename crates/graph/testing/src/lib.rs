@@ -7,10 +7,11 @@
 use std::{fmt::Debug, str::FromStr, time::Duration};
 
 use cotorra_graph::{
-    Access, Attachment, BitRate, Capacity, Conditions, Dbm, Direction, Driver, GapPolicy, HandoverTimes,
-    HardwareGraph, Kpis, Link, LinkContext, Loss, MachineContext, Node, NodeKind, PathLoss, Pose, PoseSource,
-    Program, RadioUnit, Roaming, Robot, RobotClock, RobotContext, RobotModel, SensorData, Server, Service,
-    ServiceTime, Shadowing, Testbed, Tier, Timestamp, Velocity, Vnf, WifiStandard, WirelessNetwork,
+    Access, Attachment, BitRate, Capacity, Conditions, Dbm, Direction, Driver, Edca, GapPolicy,
+    HandoverTimes, HardwareGraph, Kpis, Link, LinkContext, Loss, MachineContext, Node, NodeKind, PathLoss,
+    Pose, PoseSource, Program, QueueDiscipline, QueueLimit, RadioUnit, RateControl, Roaming, Robot,
+    RobotClock, RobotContext, RobotModel, SensorData, Server, Service, ServiceTime, Shadowing, Testbed, Tier,
+    Timestamp, Velocity, Vnf, WifiStandard, WirelessNetwork,
 };
 
 const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
@@ -82,6 +83,17 @@ pub fn link(a: &str, b: &str, conditions: Conditions) -> Link {
         medium: BitRate::from_mbps(100_000.0).unwrap(),
         medium_delay: Duration::ZERO,
         reliability: 1.0,
+    }
+}
+
+/// Returns contention one frame at a time at the best rates, with queues that drop at their tail.
+pub fn edca() -> Edca {
+    Edca {
+        aggregation: false,
+        rate_control: RateControl::Ideal,
+        power_save: None,
+        queue: QueueLimit::default(),
+        queue_discipline: QueueDiscipline::DropTail,
     }
 }
 

@@ -3,15 +3,15 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Access, Contention, Edca, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence, Probability,
-    RateControl, WirelessNetwork,
+    Access, Contention, Edca, FqCodel, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence,
+    Probability, QueueDiscipline, QueueLimit, RateControl, WifiStandard, WirelessNetwork,
 };
 
 use super::builder::{Builder, each};
 use crate::{
     records::{
         AccessWord, DeviceRecord, EmitterRecord, InterferenceRecord, NodeRecord, OtherNetworkRecord,
-        PowerSaveRecord, PresenceRecord, WirelessRecord,
+        PowerSaveRecord, PresenceRecord, QueueRecord, WirelessRecord,
     },
     yaml::decode::{Either, Spanned},
 };
@@ -36,6 +36,8 @@ impl Builder<'_> {
                 aggregation: can_aggregate,
                 rate_control: RateControl::Minstrel,
                 power_save: None,
+                queue: QueueLimit::mac80211(record.standard),
+                queue_discipline: QueueDiscipline::FqCodel(FqCodel::MAC80211),
             }),
             Either::Long(settings) => {
                 if let Some(aggregation) =
@@ -50,9 +52,32 @@ impl Builder<'_> {
                     None => None,
                     Some(record) => Some(self.power_save(record)?),
                 };
-                Some(Edca { aggregation, rate_control: settings.rate_control, power_save })
+                let (queue, queue_discipline) = self.radio_queue(record.standard, settings.queue.as_ref())?;
+                let rate_control = settings.rate_control;
+                Some(Edca { aggregation, rate_control, power_save, queue, queue_discipline })
             }
         }
+    }
+
+    /// Returns the limit and the discipline of the queues of radios.
+    fn radio_queue(
+        &mut self,
+        standard: WifiStandard,
+        queue: Option<&Spanned<Either<QueueLimit, QueueRecord>>>,
+    ) -> Option<(QueueLimit, QueueDiscipline)> {
+        let Some(queue) = queue else {
+            let fair = QueueDiscipline::FqCodel(FqCodel::MAC80211);
+            return Some((QueueLimit::mac80211(standard), fair));
+        };
+        let (limit, discipline) = self.queue(Some(&queue.value))?;
+        let discipline = discipline.unwrap_or_default();
+        if !matches!(discipline, QueueDiscipline::DropTail | QueueDiscipline::FqCodel(_)) {
+            self.sink
+                .error(&queue.span, format!("radios have no queues with {}", discipline.name()))
+                .help("write `fq_codel` or `drop_tail`, or put a wired link with the discipline next to the radio unit");
+            return None;
+        }
+        Some((limit.unwrap_or_default(), discipline))
     }
 
     fn power_save(&mut self, record: &PowerSaveRecord) -> Option<PowerSave> {

@@ -3,7 +3,8 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
-    PassiveVisits, Phase, Protection, RadioKind, RobotClock, ScanVisits, Security, Testbed, WifiSoftware,
+    FqCodel, PassiveVisits, Phase, Protection, QueueDiscipline, QueueLimit, RadioKind, RobotClock,
+    ScanVisits, Security, Testbed, WifiSoftware,
 };
 use cotorra_testbed_file::Setting;
 
@@ -171,6 +172,21 @@ fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
     let nodes = with(&["wireless.lab.access=edca", "wireless.lab.wifi=hwsim"]).unwrap().graph;
     let names: Vec<_> = nodes.nodes_with(RadioKind::Hwsim).map(|node| node.id.as_str()).collect();
     assert_eq!(names, ["robot", "R1", "R2"]);
+}
+
+#[test]
+fn radios_have_the_queues_of_linux_unless_the_file_says_otherwise() {
+    let queue = |settings: &str| {
+        let edca = with(&[settings]).unwrap().graph.wireless["lab"].access.edca().copied().unwrap();
+        (edca.queue, edca.queue_discipline)
+    };
+    let linux = (QueueLimit::Packets(1820), QueueDiscipline::FqCodel(FqCodel::MAC80211));
+    assert_eq!(queue("wireless.lab.access=edca"), linux);
+    assert_eq!(queue("wireless.lab.access={ rate_control: ideal }"), linux);
+    let short = (QueueLimit::Packets(50), QueueDiscipline::DropTail);
+    assert_eq!(queue("wireless.lab.access={ queue: 50 packets }"), short);
+    let usual = (QueueLimit::default(), QueueDiscipline::FqCodel(FqCodel::default()));
+    assert_eq!(queue("wireless.lab.access={ queue: { discipline: fq_codel } }"), usual);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use cotorra_graph::{Codel as Parameters, Timestamp};
 
-use super::{FULL_FRAME, Queued, fifo::Fifo};
+use super::{Queued, fifo::Fifo};
 
 /// State of CoDel for one queue, in the terms of RFC 8289, section 5.
 #[derive(Debug)]
@@ -80,7 +80,7 @@ impl Codel {
             return None;
         };
         let waited = now.since(packet.entered());
-        if waited < self.parameters.target || queue.bytes() <= FULL_FRAME {
+        if waited < self.parameters.target || queue.bytes() <= P::SPARED {
             self.first_above = None;
             return Some((packet, false));
         }

@@ -16,6 +16,8 @@ use std::{collections::VecDeque, time::Duration};
 use cotorra_graph::{Conditions, QueueDiscipline, QueueLimit, Rate, Timestamp};
 use cotorra_numbers::Draws;
 
+pub(crate) use self::packet::{flow, mark};
+
 use self::{codel::Codel, fifo::Fifo, fq_codel::FqCodel, pie::Pie, red::Red};
 
 /// Bytes of a full Ethernet frame without FCS.
@@ -23,6 +25,9 @@ const FULL_FRAME: u64 = 1514;
 
 /// A queue's view of a packet.
 pub(crate) trait Queued {
+    /// Bytes behind a packet up to which CoDel never drops it (`mtu` in Linux's `codel_should_drop`).
+    const SPARED: u64 = FULL_FRAME;
+
     /// Returns when it came to the link.
     fn entered(&self) -> Timestamp;
     /// Returns the number of packets that it is on the wire.

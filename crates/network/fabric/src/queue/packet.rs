@@ -36,7 +36,7 @@ impl Queued for Packet {
 
 /// Returns a hash of the flow of a frame: its IP addresses, protocol and ports, as far as it has them, or else the Ethernet
 /// addresses and the EtherType. Fragments of one packet are of one flow.
-fn flow(bytes: &[u8]) -> u64 {
+pub(crate) fn flow(bytes: &[u8]) -> u64 {
     ip_flow(bytes).unwrap_or_else(|| hash(&[bytes.get(..14).unwrap_or(bytes)]))
 }
 
@@ -64,7 +64,7 @@ fn hash(parts: &[&[u8]]) -> u64 {
 }
 
 /// Sets CE in the IP header of a frame. Returns `false`, and changes nothing, if the frame is not ECN-capable.
-fn mark(bytes: &mut [u8]) -> bool {
+pub(crate) fn mark(bytes: &mut [u8]) -> bool {
     try_mark(bytes).is_some()
 }
 

@@ -18,19 +18,15 @@ impl Radio {
         if on.is_none() && self.gap_policy(path.robot) == GapPolicy::Drop {
             return self.lose(path, frame, is_probe);
         }
-        let limit = self.lane(path).conditions().queue;
+        let queue = self.lane(path).queue();
         let flow = match path.direction {
             Direction::Forward => Flow::Up(path.robot),
             Direction::Backward => Flow::Down(path.robot),
         };
         let waiting = Waiting { frame, since: now, source: None, is_probe };
         let network = self.robots[path.robot].network;
-        if let Err(mut frame) = self.push(now, network, flow, waiting, limit) {
-            frame.end(Some(path.into()), LostCause::FullQueue);
-            self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
-            self.lost.push(frame);
-            return;
-        }
+        let dropped = self.push(now, network, flow, waiting, queue);
+        self.overflow(path, dropped);
         if let Some(unit) = on {
             self.agree(now, path);
             self.serve(self.medium.channel(unit), now);
@@ -39,6 +35,15 @@ impl Radio {
         let waiting = self.queued(path.robot)[path.direction as usize];
         if waiting > 0 {
             self.lane(path).meter().queued(now, waiting);
+        }
+    }
+
+    /// Loses frames that a queue dropped.
+    pub(super) fn overflow(&mut self, path: Path, dropped: Vec<Waiting>) {
+        for Waiting { mut frame, is_probe, .. } in dropped {
+            frame.end(Some(path.into()), LostCause::FullQueue);
+            self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
+            self.lost.push(frame);
         }
     }
 

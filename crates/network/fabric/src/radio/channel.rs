@@ -3,13 +3,12 @@
 
 use std::collections::VecDeque;
 
-use cotorra_graph::{Direction, QueueLimit, Timestamp};
+use cotorra_graph::{Direction, Timestamp};
 
 use super::{
     Path, Radio, RadioUnitIndex, StationIndex,
-    medium::{Flow, Waiting},
+    medium::{Flow, QueueSettings, Waiting},
 };
-use crate::frame::Frame;
 
 impl Radio {
     /// Whether senders contend for a channel.
@@ -38,21 +37,18 @@ impl Radio {
         }
     }
 
-    /// Queues a frame for its flow, in a network.
-    ///
-    /// # Errors
-    /// The frame, if the queue is full.
+    /// Queues a frame for its flow, in a network. Returns the frames that the queue drops.
     pub(super) fn push(
         &mut self,
         now: Timestamp,
         network: usize,
         flow: Flow,
         waiting: Waiting,
-        limit: QueueLimit,
-    ) -> Result<(), Frame> {
+        queue: QueueSettings,
+    ) -> Vec<Waiting> {
         match &mut self.edca {
-            Some(edca) if self.networks[network].contends() => edca.push(now, flow, waiting, limit),
-            _ => self.medium.push(flow, waiting, limit),
+            Some(edca) if self.networks[network].contends() => edca.push(now, flow, waiting, queue),
+            _ => self.medium.push(flow, waiting, queue.limit).err().into_iter().collect(),
         }
     }
 

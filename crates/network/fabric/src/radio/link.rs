@@ -11,6 +11,7 @@ use cotorra_numbers::Draws;
 
 use super::{
     fading::{FadingField, Moment},
+    medium::QueueSettings,
     phy::{Exchange, Phy, Reception},
     rate_control::RateControl,
 };
@@ -29,7 +30,10 @@ pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<S
         None => Rate::Unlimited,
         Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium.rate) },
     };
-    let asked = Conditions { delay: network.delay, loss: network.loss, rate, ..Conditions::default() };
+    let (queue, queue_discipline) =
+        network.access.edca().map(|edca| (edca.queue, edca.queue_discipline)).unwrap_or_default();
+    let (delay, loss) = (network.delay, network.loss);
+    let asked = Conditions { delay, loss, rate, queue, queue_discipline, ..Conditions::default() };
     Settings::new(asked, Scale::default(), medium)
 }
 
@@ -215,9 +219,6 @@ impl Lane {
         if change.rate.as_ref().is_some_and(|rate| rate.trace_name().is_some()) {
             return Err(FabricError::NotOnWireless("trace"));
         }
-        if change.queue_discipline.is_some_and(|discipline| !discipline.is_drop_tail()) {
-            return Err(FabricError::NotOnWireless("queue discipline"));
-        }
         self.settings.changed(change)
     }
 
@@ -227,8 +228,10 @@ impl Lane {
         self.settings = settings;
     }
 
-    pub(super) fn conditions(&self) -> &Conditions {
-        self.settings.effective()
+    /// Returns the limit and the discipline of its queue.
+    pub(super) fn queue(&self) -> QueueSettings {
+        let Conditions { queue, queue_discipline, .. } = self.settings.effective();
+        QueueSettings { limit: *queue, discipline: *queue_discipline }
     }
 
     pub(super) fn meter(&mut self) -> &mut Meter {

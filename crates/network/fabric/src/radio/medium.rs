@@ -3,10 +3,11 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{QueueLimit, Timestamp};
+use cotorra_graph::{QueueDiscipline, QueueLimit, Timestamp};
 
 use crate::frame::Frame;
 use crate::port::{RadioUnitIndex, StationIndex};
+use crate::queue::{self, Queued};
 
 /// A frame that waits for the channel.
 #[derive(Debug)]
@@ -17,6 +18,38 @@ pub(super) struct Waiting {
     pub(super) source: Option<StationIndex>,
     /// Whether it only measures and is in no counter.
     pub(super) is_probe: bool,
+}
+
+impl Queued for Waiting {
+    /// mac80211 leaves it at 0.
+    const SPARED: u64 = 0;
+
+    fn entered(&self) -> Timestamp {
+        self.since
+    }
+
+    fn packets(&self) -> u32 {
+        self.frame.wire_packets()
+    }
+
+    fn bytes(&self) -> u64 {
+        self.frame.wire_bytes()
+    }
+
+    fn flow(&self) -> u64 {
+        queue::flow(self.frame.bytes())
+    }
+
+    fn mark(&mut self) -> bool {
+        queue::mark(self.frame.bytes_mut())
+    }
+}
+
+/// Limit and discipline of a flow's queue.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct QueueSettings {
+    pub(super) limit: QueueLimit,
+    pub(super) discipline: QueueDiscipline,
 }
 
 /// A drop-tail queue.
@@ -200,10 +233,10 @@ impl Medium {
     ///
     /// # Errors
     /// The frame, if the queue is full.
-    pub(super) fn push(&mut self, flow: Flow, waiting: Waiting, limit: QueueLimit) -> Result<(), Frame> {
+    pub(super) fn push(&mut self, flow: Flow, waiting: Waiting, limit: QueueLimit) -> Result<(), Waiting> {
         let queue = self.queue(flow);
         if !queue.fits(&waiting.frame, limit) {
-            return Err(waiting.frame);
+            return Err(waiting);
         }
         let first = queue.frames.is_empty();
         queue.push(waiting);

@@ -47,8 +47,8 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, Band, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy,
-    HardwareGraph, LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueLimit,
-    RadioContext, Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
+    HardwareGraph, LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueDiscipline,
+    QueueLimit, RadioContext, Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
 use cotorra_numbers::Draws;
 
@@ -67,7 +67,7 @@ use self::{
     foreign::Lent,
     hearing::Heard,
     link::WirelessLink,
-    medium::{Flow, Medium, Waiting},
+    medium::{Flow, Medium, QueueSettings, Waiting},
     phy::{Phy, Reception},
     roaming::{Beacons, Policy},
     shadowing::ShadowingField,
@@ -437,15 +437,14 @@ impl Radio {
         }
         let waiting = Waiting { frame, since: now, source, is_probe: false };
         let network = self.units[unit].network;
-        match self.push(now, network, Flow::Group(unit), waiting, QueueLimit::default()) {
-            Ok(()) => self.serve(self.medium.channel(unit), now),
-            Err(frame) => {
-                for path in self.group(unit, source).collect::<Vec<_>>() {
-                    self.lane(path).meter().counters.overflowed += 1;
-                }
-                self.lost.push(frame);
-            }
+        let dropped = self.push(now, network, Flow::Group(unit), waiting, QueueSettings::default());
+        if dropped.is_empty() {
+            return self.serve(self.medium.channel(unit), now);
         }
+        for path in self.group(unit, source).collect::<Vec<_>>() {
+            self.lane(path).meter().counters.overflowed += 1;
+        }
+        self.lost.extend(dropped.into_iter().map(|waiting| waiting.frame));
     }
 
     /// Returns the paths from a radio unit to all its stations but one.
@@ -725,6 +724,14 @@ impl Radio {
     ) -> Result<(), FabricError> {
         self.advance(now);
         let (robot, unit) = self.ends(link).ok_or_else(|| FabricError::UnknownLink(link.clone()))?;
+        let can_queue = |discipline: QueueDiscipline| match discipline {
+            QueueDiscipline::DropTail => true,
+            QueueDiscipline::FqCodel(_) => self.networks[self.robots[robot].network].contends(),
+            _ => false,
+        };
+        if !change.queue_discipline.is_none_or(can_queue) {
+            return Err(FabricError::NotOnWireless("queue discipline"));
+        }
         let both = [Direction::Forward, Direction::Backward];
         let directions = both.into_iter().filter(|d| direction.is_none_or(|wanted| wanted == *d));
         let paths: Vec<_> = directions.map(|direction| Path { robot, unit, direction }).collect();

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use cotorra_fabric::{Fabric, PortId};
 use cotorra_graph::{Access, Edca, Fading, HardwareGraph, NodeId, Position, RateControl, Timestamp};
+use cotorra_graph_testing as base;
 
 use crate::common::{Delivery, Network, frame, frame_to, ms, run};
 
@@ -22,7 +23,7 @@ fn floor(fading: Option<Fading>, metres: f64) -> HardwareGraph {
 
 /// Returns contention of stations that never sleep.
 fn contention(aggregation: bool, rate_control: RateControl) -> Access {
-    Edca { aggregation, rate_control, power_save: None }.into()
+    Edca { aggregation, rate_control, ..base::edca() }.into()
 }
 
 fn id(name: &str) -> NodeId {

@@ -6,7 +6,8 @@ use cotorra_fabric::{
     Antenna, Association, Category, Datagrams, Fabric, FabricError, Followed, PhyRate, PortId, RateTries,
     Receiver, RoundTrip, Transmission, Trip,
 };
-use cotorra_graph::{AccessPoint, Conditions, Edca, Event, Handover, NodeId, Position, RateControl, Stamped};
+use cotorra_graph::{AccessPoint, Conditions, Event, Handover, NodeId, Position, Stamped};
+use cotorra_graph_testing as base;
 
 use crate::{
     common::{Network, frame, frame_to, ms, number, run},
@@ -34,8 +35,7 @@ fn lent_but(own: &[&str]) -> Fabric {
         .iter()
         .fold(network.robot("p", 2.0), |network, end| network.link(end, "s", Conditions::default()));
     let mut graph = network.graph();
-    graph.wireless.get_mut("air").unwrap().access =
-        Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }.into();
+    graph.wireless.get_mut("air").unwrap().access = base::edca().into();
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     for node in ["p", "R1", "R2"].into_iter().filter(|node| !own.contains(node)) {
         fabric.lend_antenna(ms(0.0), &node.parse().unwrap()).unwrap();

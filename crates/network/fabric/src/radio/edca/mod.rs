@@ -22,7 +22,7 @@ mod transmission;
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Direction, PowerSave, QueueLimit, Timestamp};
+use cotorra_graph::{Direction, PowerSave, Timestamp};
 use cotorra_numbers::Draws;
 
 pub use self::category::Category;
@@ -40,12 +40,9 @@ use self::{
 use super::{
     Path,
     emitter::Emitter,
-    medium::{BusyTime, Flow, Waiting},
+    medium::{BusyTime, Flow, QueueSettings, Waiting},
 };
-use crate::{
-    frame::Frame,
-    port::{RadioUnitIndex, StationIndex},
-};
+use crate::port::{RadioUnitIndex, StationIndex};
 
 /// A station or a radio unit, with its four contentions.
 #[derive(Debug)]
@@ -130,8 +127,7 @@ struct Unit {
     /// Stations that are with it on its channel.
     present: Vec<StationIndex>,
     group: [Stream; 4],
-    /// Flows of each category in turn: the last served is behind all others.
-    turns: [VecDeque<Flow>; 4],
+    turns: [Turns; 4],
     beacons: Beacons,
     /// Its next beacon that wakes stations, if it keeps frames for some that sleep.
     beacon: Option<Timestamp>,
@@ -139,10 +135,41 @@ struct Unit {
     delivers_groups: bool,
 }
 
+/// Flows of one category of a radio unit, by turns.
+#[derive(Debug)]
+struct Turns {
+    /// The last served is behind all others. Of those that share airtime, it is once it has none left, and one that begins is
+    /// before all others, as in Linux (`__ieee80211_schedule_txq`).
+    flows: VecDeque<Flow>,
+    /// Airtime that rounds gave to each flow that had none, µs.
+    given_us: u64,
+}
+
+impl Turns {
+    fn new(unit: RadioUnitIndex) -> Self {
+        Self { flows: VecDeque::from([Flow::Group(unit)]), given_us: 0 }
+    }
+
+    /// Takes a flow out. Returns whether it was there.
+    fn remove(&mut self, flow: Flow) -> bool {
+        let at = self.flows.iter().position(|other| *other == flow);
+        at.and_then(|at| self.flows.remove(at)).is_some()
+    }
+
+    /// Puts a flow before all others, or behind them, if it is there.
+    fn put(&mut self, flow: Flow, first: bool) {
+        if !self.remove(flow) {
+            return;
+        }
+        if first { self.flows.push_front(flow) } else { self.flows.push_back(flow) }
+    }
+}
+
 /// All channels with contention, and the frames that wait for them. Robots and radio units have the numbers of the radio's;
 /// those of networks without contention stay unused.
 #[derive(Debug)]
 pub(super) struct Edca {
+    seed: u64,
     channels: Vec<Channel>,
     peers: Vec<Peer>,
     units: Vec<Unit>,
@@ -166,7 +193,7 @@ impl Edca {
                 channel,
                 present: Vec::new(),
                 group: Default::default(),
-                turns: std::array::from_fn(|_| VecDeque::from([Flow::Group(index)])),
+                turns: std::array::from_fn(|_| Turns::new(index)),
                 beacons: Beacons::new(seed, index, sifs),
                 beacon: None,
                 delivers_groups: false,
@@ -190,6 +217,7 @@ impl Edca {
             }
         }
         Self {
+            seed,
             channels,
             peers: stations.enumerate().map(peer).collect(),
             units,
@@ -204,7 +232,11 @@ impl Edca {
         (self.peers[station].on, self.peers[station].with) = (Some(unit), unit);
         let Unit { channel, present, turns, .. } = &mut self.units[unit];
         present.push(station);
-        turns.iter_mut().for_each(|turns| turns.push_back(Flow::Down(station)));
+        let streams = &mut self.peers[station].streams[Direction::Backward as usize];
+        for (Turns { flows, given_us }, stream) in turns.iter_mut().zip(streams) {
+            flows.push_back(Flow::Down(station));
+            stream.share(*given_us);
+        }
         let channel = &mut self.channels[*channel];
         channel.members.push(Emitter::Robot(station));
         // It listens first. What is on the air takes milliseconds at most.
@@ -219,7 +251,7 @@ impl Edca {
         let Some(unit) = self.peers[station].on.take() else { return Default::default() };
         let Unit { channel, present, turns, .. } = &mut self.units[unit];
         present.retain(|other| *other != station);
-        turns.iter_mut().for_each(|turns| turns.retain(|other| *other != Flow::Down(station)));
+        turns.iter_mut().for_each(|turns| _ = turns.remove(Flow::Down(station)));
         self.channels[*channel].members.retain(|member| *member != Emitter::Robot(station));
         self.peers[station].node.burst = None;
         let both = &mut self.peers[station].streams;
@@ -235,28 +267,34 @@ impl Edca {
         both.each_mut().map(|streams| streams.iter_mut().flat_map(Stream::clear).collect())
     }
 
-    /// Queues a frame, by its category.
-    ///
-    /// # Errors
-    /// The frame, if the queue is full.
+    /// Queues a frame, by its category. Returns the frames that are dropped.
     pub(super) fn push(
         &mut self,
         now: Timestamp,
         flow: Flow,
         waiting: Waiting,
-        limit: QueueLimit,
-    ) -> Result<(), Frame> {
+        queue: QueueSettings,
+    ) -> Vec<Waiting> {
         let category = Category::of(waiting.frame.bytes()) as usize;
-        self.stream(flow, category).push(waiting, limit)?;
+        let seed = self.seed;
+        let rng = || Draws::new(seed, &format!("queue {flow:?} {category}"));
+        let stream = self.stream(flow, category);
+        let begins = !queue.discipline.is_drop_tail() && !stream.is_ready();
+        let dropped = stream.push(now, waiting, queue, rng);
         let sender = match flow {
             Flow::Up(station) => Some(Emitter::Robot(station)),
             Flow::Down(station) => self.peers[station].on.map(Emitter::Unit),
             Flow::Group(unit) => Some(Emitter::Unit(unit)),
         };
+        if let Some(Emitter::Unit(unit)) = sender
+            && begins
+        {
+            self.units[unit].turns[category].put(flow, true);
+        }
         if let Some(sender) = sender {
             self.refresh(now, sender);
         }
-        Ok(())
+        dropped
     }
 
     /// Returns when something happens on a channel.
@@ -424,15 +462,14 @@ impl Edca {
         }
     }
 
-    /// Puts a flow behind all others of its radio unit.
+    /// Ends a turn of a flow. If it has no airtime left, it goes behind all others of its radio unit.
     fn take_turn(&mut self, emitter: Emitter, category: usize, flow: Flow) {
         if let Emitter::Unit(unit) = emitter {
+            let mut given_us = self.units[unit].turns[category].given_us;
+            let is_over = self.stream(flow, category).pay(&mut given_us);
             let turns = &mut self.units[unit].turns[category];
-            if let Some(at) = turns.iter().position(|other| *other == flow)
-                && let Some(flow) = turns.remove(at)
-            {
-                turns.push_back(flow);
-            }
+            turns.given_us = given_us;
+            turns.put(flow, !is_over);
             self.end_delivery(unit);
         }
     }
@@ -450,7 +487,8 @@ impl Edca {
         }
     }
 
-    /// Returns the flow whose turn it is.
+    /// Returns the flow whose turn it is: of those of a radio unit that share airtime, the first one that has some, after as few
+    /// rounds as possible. That is Linux's deficit round robin (`ieee80211_next_txq`).
     fn next_flow(&self, now: Timestamp, sender: Emitter, category: usize) -> Option<Flow> {
         let is_ready = |station: StationIndex, direction: Direction| {
             self.peers[station].streams[direction as usize][category].is_ready()
@@ -467,7 +505,15 @@ impl Edca {
                     Flow::Group(_) => group[category].is_ready(),
                     Flow::Up(_) => false,
                 };
-                turns[category].iter().filter(is_ready).find(|flow| self.is_awake(now, **flow)).copied()
+                let Turns { flows, given_us } = &turns[category];
+                let rounds = |flow: &&Flow| match **flow {
+                    Flow::Down(station) => {
+                        self.peers[station].streams[Direction::Backward as usize][category].rounds(*given_us)
+                    }
+                    Flow::Group(_) | Flow::Up(_) => 0,
+                };
+                let ready = flows.iter().filter(is_ready);
+                ready.filter(|flow| self.is_awake(now, **flow)).min_by_key(rounds).copied()
             }
             Emitter::Interference(_) | Emitter::Foreign(_) => None,
         }

@@ -68,8 +68,8 @@ impl Edca {
             waits && !self.is_awake(now, *flow)
         };
         let turns = &self.units[unit].turns;
-        let kept =
-            (0..CATEGORIES.len()).any(|category| turns[category].iter().any(|flow| keeps(flow, category)));
+        let kept = (0..CATEGORIES.len())
+            .any(|category| turns[category].flows.iter().any(|flow| keeps(flow, category)));
         let beacon = &mut self.units[unit].beacon;
         *beacon = if kept { beacon.or(Some(next_beacon(now))) } else { None };
     }

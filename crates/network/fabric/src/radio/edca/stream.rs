@@ -2,12 +2,16 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{QueueLimit, Timestamp};
+use cotorra_graph::{Conditions, Timestamp};
+use cotorra_numbers::Draws;
 
 use crate::{
-    frame::Frame,
-    radio::medium::{Queue, Waiting},
+    queue,
+    radio::medium::{Queue, QueueSettings, Waiting},
 };
+
+/// Airtime that a receiver without any gets in each round, µs (Linux's `IEEE80211_DEFAULT_AIRTIME_WEIGHT`).
+const ROUND_US: u64 = 256;
 
 /// A frame that was sent at least once.
 #[derive(Debug)]
@@ -54,35 +58,81 @@ pub(super) struct Batch {
     pub(super) cost: u64,
 }
 
+impl Batch {
+    /// Takes the room of a frame. Returns `false` if there is none.
+    fn takes(&mut self, cost: u64, is_first: bool) -> bool {
+        let fits = self.frames > 0 && (is_first || cost <= self.cost);
+        if fits {
+            self.frames -= 1;
+            self.cost = self.cost.saturating_sub(cost);
+        }
+        fits
+    }
+}
+
 /// The frames of one category from one sender to one receiver. With batches of one frame it is a sender that waits for each
 /// acknowledgement; with larger ones it is both ends of a block acknowledgement agreement (10.25), so that the receiver gets
 /// frames in order.
 #[derive(Debug, Default)]
 pub(super) struct Stream {
     queue: Queue,
+    /// Frames of a queue with flows, which come after those of `queue`.
+    flows: Option<Box<queue::Queue<Waiting>>>,
     window: VecDeque<Sent>,
     /// Number of changes of its receiver.
     epoch: u32,
+    /// Airtime that it used, on the scale of its radio unit's rounds, µs. Only with flows.
+    used_us: u64,
+    /// Airtime of its attempts since its last turn.
+    spent: Duration,
 }
 
 impl Stream {
-    /// Queues a frame.
-    ///
-    /// # Errors
-    /// The frame, if the queue is full.
-    pub(super) fn push(&mut self, waiting: Waiting, limit: QueueLimit) -> Result<(), Frame> {
-        if self.queue.fits(&waiting.frame, limit) {
+    /// Queues a frame. Returns the frames that are dropped. A queue with flows takes its random numbers from `rng`.
+    pub(super) fn push(
+        &mut self,
+        now: Timestamp,
+        waiting: Waiting,
+        settings: QueueSettings,
+        rng: impl FnOnce() -> Draws,
+    ) -> Vec<Waiting> {
+        let QueueSettings { limit, discipline } = settings;
+        if discipline.is_drop_tail() {
+            if let Some(mut flows) = self.flows.take() {
+                flows.drain().into_iter().for_each(|waiting| self.queue.push(waiting));
+            }
+            if !self.queue.fits(&waiting.frame, limit) {
+                return vec![waiting];
+            }
             self.queue.push(waiting);
-            Ok(())
-        } else {
-            Err(waiting.frame)
+            return Vec::new();
+        }
+        let conditions = Conditions { queue: limit, queue_discipline: discipline, ..Conditions::default() };
+        let flows = self.flows.get_or_insert_with(|| Box::new(queue::Queue::new(now, &conditions, rng())));
+        flows.change(now, &conditions);
+        let mut dropped = Vec::new();
+        flows.push(now, waiting, &mut |waiting| dropped.push(waiting));
+        dropped
+    }
+
+    /// Makes the next frame of the flows the next one to send, if none is yet. Calls `drop` with those that are dropped.
+    fn fill(&mut self, now: Timestamp, drop: &mut dyn FnMut(Waiting)) {
+        if self.queue.is_empty()
+            && let Some(next) = self.flows.as_mut().and_then(|flows| flows.pop(now, drop))
+        {
+            self.queue.push(next);
         }
     }
 
     /// Whether a frame is to be sent.
     pub(super) fn is_ready(&self) -> bool {
         let retries = self.window.iter().any(|sent| sent.state == State::ToRetry);
-        retries || !self.queue.is_empty()
+        retries || self.queued() > 0
+    }
+
+    /// Returns the number of frames that were not sent yet.
+    fn queued(&self) -> usize {
+        self.queue.len() + self.flows.as_ref().map_or(0, |flows| flows.packets() as usize)
     }
 
     /// Returns how often its receiver has changed.
@@ -92,42 +142,49 @@ impl Stream {
 
     /// Returns the number of unsettled frames.
     pub(super) fn len(&self) -> usize {
-        self.queue.len() + self.window.len()
+        self.queued() + self.window.len()
     }
 
     /// Returns the unsettled frames.
     pub(super) fn frames(&self) -> impl Iterator<Item = &Waiting> {
-        self.window.iter().map(|sent| &sent.waiting).chain(self.queue.iter())
+        let flows = self.flows.iter().flat_map(|flows| flows.iter());
+        self.window.iter().map(|sent| &sent.waiting).chain(self.queue.iter()).chain(flows)
     }
 
-    /// Returns the length in bytes of the next frame to send.
-    pub(super) fn next_bytes(&self) -> Option<usize> {
-        let retried = self.window.iter().find(|sent| sent.state == State::ToRetry);
-        let next = retried.map(|sent| &sent.waiting).or_else(|| self.queue.front())?;
-        Some(next.frame.bytes().len())
+    /// Returns the length in bytes of the next frame to send. Calls `drop` with those that are dropped before it.
+    pub(super) fn next_bytes(&mut self, now: Timestamp, drop: &mut dyn FnMut(Waiting)) -> Option<usize> {
+        if let Some(retried) = self.window.iter().find(|sent| sent.state == State::ToRetry) {
+            return Some(retried.waiting.frame.bytes().len());
+        }
+        self.fill(now, drop);
+        self.queue.front().map(|next| next.frame.bytes().len())
     }
 
-    /// Puts the next frames on the air, earlier ones first. `cost` is the cost of a frame of a length. Returns their lengths.
-    pub(super) fn send(&mut self, batch: Batch, cost: impl Fn(usize) -> u64) -> Vec<usize> {
-        let mut lengths = Vec::new();
-        let mut left = batch.cost;
-        let mut takes = |waiting: &Waiting| {
-            let bytes = waiting.frame.bytes().len();
-            let spent = cost(bytes);
-            let fits = lengths.len() < batch.frames && (lengths.is_empty() || spent <= left);
-            if fits {
-                left = left.saturating_sub(spent);
-                lengths.push(bytes);
-            }
-            fits
-        };
+    /// Puts the next frames on the air, earlier ones first. `cost` is the cost of a frame of a length. Calls `drop` with frames
+    /// that are dropped. Returns the lengths of those that are sent.
+    pub(super) fn send(
+        &mut self,
+        now: Timestamp,
+        mut batch: Batch,
+        cost: impl Fn(usize) -> u64,
+        drop: &mut dyn FnMut(Waiting),
+    ) -> Vec<usize> {
+        let (mut lengths, window) = (Vec::new(), batch.frames);
         for sent in self.window.iter_mut().filter(|sent| sent.state == State::ToRetry) {
-            if !takes(&sent.waiting) {
+            let bytes = sent.waiting.frame.bytes().len();
+            if !batch.takes(cost(bytes), lengths.is_empty()) {
                 return lengths;
             }
+            lengths.push(bytes);
             sent.state = State::OnAir;
         }
-        while self.window.len() < batch.frames && self.queue.front().is_some_and(&mut takes) {
+        while batch.frames > 0 && self.window.len() < window {
+            self.fill(now, drop);
+            let Some(bytes) = self.queue.front().map(|next| next.frame.bytes().len()) else { break };
+            if !batch.takes(cost(bytes), lengths.is_empty()) {
+                break;
+            }
+            lengths.push(bytes);
             let Some(waiting) = self.queue.pop() else { break };
             let state = State::OnAir;
             let (began, first) = (Timestamp::ZERO, Duration::ZERO);
@@ -164,6 +221,39 @@ impl Stream {
         outcome
     }
 
+    /// Whether its flows share the airtime of their radio unit by use, not by turns.
+    pub(super) fn is_fair(&self) -> bool {
+        self.flows.is_some()
+    }
+
+    /// Returns the rounds until it has airtime again, after the rounds that gave `given_us` to each; 0 without flows.
+    pub(super) fn rounds(&self, given_us: u64) -> u64 {
+        if self.is_fair() { self.used_us.saturating_sub(given_us).div_ceil(ROUND_US) } else { 0 }
+    }
+
+    /// Begins to share the airtime of a radio unit whose rounds gave `given_us` to each.
+    pub(super) fn share(&mut self, given_us: u64) {
+        (self.used_us, self.spent) = (given_us, Duration::ZERO);
+    }
+
+    /// Records the airtime of an attempt.
+    pub(super) fn spend(&mut self, airtime: Duration) {
+        self.spent += airtime;
+    }
+
+    /// Pays for its attempts, at the end of its turn, after the rounds that it needed for it. Returns whether others go first now.
+    pub(super) fn pay(&mut self, given_us: &mut u64) -> bool {
+        let spent = std::mem::take(&mut self.spent);
+        if !self.is_fair() {
+            return true;
+        }
+        *given_us += self.rounds(*given_us) * ROUND_US;
+        // One that has airtime gets none in a round, so that less than a round's is left.
+        let left = (*given_us - self.used_us) % ROUND_US;
+        self.used_us = *given_us - left + spent.as_micros() as u64;
+        self.used_us > *given_us
+    }
+
     /// Takes the next frame whose fate, and that of all before it, is settled.
     pub(super) fn settle(&mut self) -> Option<Settled> {
         let received = match self.window.front()?.state {
@@ -192,7 +282,11 @@ impl Stream {
 
     /// Takes the frames that wait.
     pub(super) fn clear(&mut self) -> VecDeque<Waiting> {
-        self.queue.take()
+        let mut waiting = self.queue.take();
+        if let Some(flows) = &mut self.flows {
+            waiting.extend(flows.drain());
+        }
+        waiting
     }
 }
 
@@ -200,25 +294,39 @@ impl Stream {
 mod tests {
     use super::*;
 
+    use cotorra_graph::{FqCodel, QueueDiscipline, QueueLimit};
     use proptest::prelude::*;
 
-    const LIMIT: QueueLimit = QueueLimit::Packets(1000);
+    use crate::frame::Frame;
+
     const ALL: Batch = Batch { frames: 64, cost: u64::MAX };
 
-    /// A frame whose first byte is its number.
+    /// A frame of a flow, which tells its number.
+    fn frame(flow: u8, number: u8) -> Frame {
+        Frame::new([&[flow; 14][..], &[number; 986]].concat())
+    }
+
     fn waiting(number: u8) -> Waiting {
-        Waiting {
-            frame: Frame::new(vec![number; 100]),
-            since: Timestamp::ZERO,
-            source: None,
-            is_probe: false,
-        }
+        Waiting { frame: frame(0, number), since: Timestamp::ZERO, source: None, is_probe: false }
     }
 
     fn stream(frames: u8) -> Stream {
+        queued(frames, QueueSettings::default())
+    }
+
+    fn queued(frames: u8, settings: QueueSettings) -> Stream {
         let mut stream = Stream::default();
-        (0..frames).for_each(|number| stream.push(waiting(number), LIMIT).unwrap());
+        (0..frames).for_each(|number| assert!(push(&mut stream, waiting(number), settings).is_empty()));
         stream
+    }
+
+    fn push(stream: &mut Stream, waiting: Waiting, settings: QueueSettings) -> Vec<Waiting> {
+        stream.push(Timestamp::ZERO, waiting, settings, || Draws::new(1, "queue"))
+    }
+
+    /// Sends the next frames, none of which is dropped.
+    fn send(stream: &mut Stream, batch: Batch, cost: impl Fn(usize) -> u64) -> Vec<usize> {
+        stream.send(Timestamp::ZERO, batch, cost, &mut |waiting| panic!("{waiting:?} is dropped"))
     }
 
     fn at(us: u64) -> Timestamp {
@@ -227,7 +335,7 @@ mod tests {
 
     /// Sends a batch, of which the frames in these places arrive, and returns what settles: numbers and whether received.
     fn attempt(stream: &mut Stream, batch: Batch, arrive: &[usize]) -> Vec<(u8, bool)> {
-        stream.send(batch, |_| 1);
+        send(stream, batch, |_| 1);
         let mut place = 0;
         stream.conclude([at(0), at(10)], 7, |_| {
             place += 1;
@@ -237,7 +345,7 @@ mod tests {
     }
 
     fn settled(stream: &mut Stream) -> Vec<(u8, bool)> {
-        std::iter::from_fn(|| stream.settle()).map(|s| (s.waiting.frame.bytes()[0], s.received)).collect()
+        std::iter::from_fn(|| stream.settle()).map(|s| (s.waiting.frame.bytes()[14], s.received)).collect()
     }
 
     #[test]
@@ -261,28 +369,59 @@ mod tests {
 
     #[test]
     fn a_batch_is_bounded_by_frames_cost_and_window() {
-        assert_eq!(stream(200).send(ALL, |_| 1).len(), 64);
-        assert_eq!(stream(200).send(Batch { cost: 250, ..ALL }, |bytes| bytes as u64).len(), 2);
-        assert_eq!(stream(200).send(Batch { cost: 0, ..ALL }, |bytes| bytes as u64).len(), 1);
+        assert_eq!(send(&mut stream(200), ALL, |_| 1).len(), 64);
+        assert_eq!(send(&mut stream(200), Batch { cost: 2500, ..ALL }, |bytes| bytes as u64).len(), 2);
+        assert_eq!(send(&mut stream(200), Batch { cost: 0, ..ALL }, |bytes| bytes as u64).len(), 1);
         let mut stream = stream(200);
         attempt(&mut stream, ALL, &[1, 2, 3]);
         // The window begins at frame 0, which is not settled: only frames 0 and 4 to 63 may go.
-        assert_eq!(stream.send(ALL, |_| 1).len(), 61);
+        assert_eq!(send(&mut stream, ALL, |_| 1).len(), 61);
     }
 
     #[test]
     fn frames_wait_for_the_next_receiver_in_order() {
         let mut stream = stream(4);
-        stream.send(Batch { frames: 3, ..ALL }, |_| 1);
+        send(&mut stream, Batch { frames: 3, ..ALL }, |_| 1);
         let mut place = 0;
         stream.conclude([at(0), at(10)], 7, |_| {
             place += 1;
             place == 2
         });
-        let numbers: Vec<_> = stream.part().iter().map(|settled| settled.waiting.frame.bytes()[0]).collect();
+        let numbers: Vec<_> = stream.part().iter().map(|settled| settled.waiting.frame.bytes()[14]).collect();
         assert_eq!(numbers, [1]);
-        let numbers: Vec<_> = stream.clear().iter().map(|waiting| waiting.frame.bytes()[0]).collect();
+        let numbers: Vec<_> = stream.clear().iter().map(|waiting| waiting.frame.bytes()[14]).collect();
         assert_eq!(numbers, [0, 2, 3]);
+    }
+
+    const FAIR: QueueSettings = QueueSettings {
+        limit: QueueLimit::Packets(10),
+        discipline: QueueDiscipline::FqCodel(FqCodel::MAC80211),
+    };
+
+    #[test]
+    fn a_sparse_flow_goes_before_what_waits() {
+        let mut stream = queued(10, FAIR);
+        assert_eq!(attempt(&mut stream, Batch { frames: 2, ..ALL }, &[0, 1]), [(0, true), (1, true)]);
+        let sparse = Waiting { frame: frame(1, 77), ..waiting(0) };
+        assert!(push(&mut stream, sparse, FAIR).is_empty());
+        assert_eq!(attempt(&mut stream, Batch { frames: 2, ..ALL }, &[0, 1]), [(77, true), (2, true)]);
+    }
+
+    #[test]
+    fn a_full_queue_drops_from_its_longest_flow() {
+        let mut stream = queued(10, FAIR);
+        let sparse = Waiting { frame: frame(1, 77), ..waiting(0) };
+        let dropped = push(&mut stream, sparse, FAIR);
+        assert_eq!(dropped.iter().map(|waiting| waiting.frame.bytes()[14]).collect::<Vec<_>>(), [0]);
+        assert_eq!(stream.len(), 10);
+    }
+
+    #[test]
+    fn a_change_to_drop_tail_keeps_the_frames() {
+        let mut stream = queued(3, FAIR);
+        assert!(push(&mut stream, waiting(3), QueueSettings::default()).is_empty());
+        let numbers: Vec<_> = stream.clear().iter().map(|waiting| waiting.frame.bytes()[14]).collect();
+        assert_eq!(numbers, [0, 1, 2, 3]);
     }
 
     proptest! {
@@ -294,7 +433,7 @@ mod tests {
             let mut losses = losses.into_iter().cycle();
             let mut all = Vec::new();
             for _ in 0..1000 {
-                stream.send(Batch { frames: batch, ..ALL }, |_| 1);
+                send(&mut stream, Batch { frames: batch, ..ALL }, |_| 1);
                 stream.conclude([at(0), at(10)], 7, |_| !losses.next().unwrap());
                 all.extend(settled(&mut stream).into_iter().map(|(number, _)| number));
             }

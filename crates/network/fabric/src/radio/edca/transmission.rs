@@ -193,7 +193,10 @@ impl Radio {
         };
         let phy = self.phy_of(emitter);
         let path = self.edca().path(flow);
-        let next_bytes = self.edca().stream(flow, category).next_bytes().unwrap_or_default();
+        let mut dropped = Vec::new();
+        let mut drop = |waiting: Waiting| dropped.push(waiting);
+        let stream = self.edca().stream(flow, category);
+        let next_bytes = stream.next_bytes(now, &mut drop).unwrap_or_default();
         let attempt = path.map_or(GROUP, |path| {
             let reception = self.reception(now, path);
             self.lane(path).rates().attempt(now, phy, &reception, next_bytes)
@@ -206,7 +209,8 @@ impl Radio {
             _ => SINGLE,
         };
         let edca = self.edca();
-        let lengths = edca.stream(flow, category).send(batch, |bytes| phy.subframe_bytes(bytes));
+        let cost = |bytes| phy.subframe_bytes(bytes);
+        let lengths = edca.stream(flow, category).send(now, batch, cost, &mut drop);
         let mut content = Content {
             flow,
             category,
@@ -233,6 +237,7 @@ impl Radio {
             load: Load::Frames(content),
         };
         let Some(path) = path else { return on_air(now + airtime, now + airtime, content) };
+        self.overflow(path, dropped);
         let lane = self.lane(path);
         let least = lengths.iter().map(|bytes| lane.least_airtime(*bytes)).sum();
         let (airtime, answer) = (airtime.max(least), phy.sifs() + answer);
@@ -322,6 +327,9 @@ impl Radio {
         self.edca = Some(edca);
         self.settle(now, path, settled);
         let done = outcome.received > 0 || outcome.given_up > 0;
+        if let Flow::Down(_) = flow {
+            self.edca().stream(flow, category).spend(ended.ends.since(ended.start));
+        }
         self.edca().end_exchange(now, ended.emitter, category, done);
         if done {
             self.edca().take_turn(ended.emitter, category, flow);

@@ -1,6 +1,6 @@
 //! Channels on which stations contend: throughput, collisions, hidden nodes, capture, aggregation and interference.
 
-use cotorra_graph::{Interferer, InterfererKind, PowerSave, Presence, RateControl};
+use cotorra_graph::{FqCodel, Interferer, InterfererKind, PowerSave, Presence, QueueDiscipline, RateControl};
 
 use super::*;
 
@@ -10,7 +10,7 @@ pub(super) fn contending() -> WirelessNetwork {
         standard: WifiStandard::A,
         delay: Duration::ZERO,
         rate: None,
-        access: Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }.into(),
+        access: base::edca().into(),
         ..network()
     }
 }
@@ -115,7 +115,7 @@ fn hidden_nodes_lose_throughput_and_frames() {
 fn hidden_nodes_destroy_only_the_frames_of_an_aggregate_that_they_overlap_with() {
     let ht = WirelessNetwork {
         standard: WifiStandard::Ac,
-        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }.into(),
+        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, ..base::edca() }.into(),
         ..contending()
     };
     let frames = |places: [f64; 2]| saturate(&mut stations(ht.clone(), &places), 2, 1000, at(1000));
@@ -129,7 +129,7 @@ fn another_network_shares_the_channel_by_its_load() {
     let throughput = |load: f64| {
         let mut ht = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Edca { aggregation: true, rate_control: RateControl::Ideal, power_save: None }.into(),
+            access: Edca { aggregation: true, ..base::edca() }.into(),
             ..contending()
         };
         let kind = InterfererKind::Network { load: Probability::new(load).unwrap(), airtime: ms(2) };
@@ -173,7 +173,7 @@ fn beacons_take_airtime_and_delay_frames() {
 fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let ht = |aggregation| WirelessNetwork {
         standard: WifiStandard::N,
-        access: Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }.into(),
+        access: Edca { aggregation, ..base::edca() }.into(),
         ..contending()
     };
     let rate = |aggregation, until: u64| {
@@ -230,6 +230,86 @@ fn urgent_frames_overtake_others() {
     let place = world.arrived.iter().position(|(_, _, frame)| frame.bytes()[15] == 46 << 2).unwrap();
     let before = world.arrived[..place].iter().filter(|(due, ..)| *due > at(12)).count();
     assert!(before <= 3, "{before} frames went first");
+}
+
+/// A contending network with this discipline of its queues.
+fn queueing(queue_discipline: QueueDiscipline) -> WirelessNetwork {
+    WirelessNetwork { access: Edca { queue_discipline, ..base::edca() }.into(), ..contending() }
+}
+
+const FAIR: QueueDiscipline = QueueDiscipline::FqCodel(FqCodel::MAC80211);
+
+#[test]
+fn a_packet_of_another_flow_does_not_wait_for_a_burst() {
+    let delay = |discipline| {
+        let mut world = stations(queueing(discipline), &[5.0]);
+        (0..50).for_each(|_| world.up(at(10), "r0", 1500));
+        world.radio.push_up(at(12), world.ports["r0"], Frame::new(vec![1; 100]));
+        world.run(at(100));
+        assert_eq!(world.arrived.len(), 51);
+        let small = world.arrived.iter().find(|(_, _, frame)| frame.bytes().len() == 100);
+        small.unwrap().0.since(at(12))
+    };
+    // A frame of the burst takes 0.4 ms with its backoff. The packet waits for the one on the air.
+    assert!(delay(QueueDiscipline::DropTail) > ms(15));
+    assert!(delay(FAIR) < ms(2));
+}
+
+#[test]
+fn a_radio_unit_gives_stations_equal_airtime() {
+    let arrived = |discipline| {
+        let mut world = stations(queueing(discipline), &[5.0, 80.0]);
+        (0..1000).for_each(|_| ["r0", "r1"].iter().for_each(|robot| world.down(at(0), "R", robot, 1500)));
+        world.run(at(300));
+        ["r0", "r1"]
+            .map(|robot| world.arrived.iter().filter(|(_, port, _)| *port == world.ports[robot]).count())
+    };
+    let [near, far] = arrived(QueueDiscipline::DropTail);
+    assert!(near.abs_diff(far) <= near / 10, "{near} and {far} in turns");
+    // At 54 and 12 Mbit/s, a frame and its acknowledgement take 292 and 1120 µs.
+    let [near, far] = arrived(FAIR);
+    assert!(near > 2 * far, "{near} and {far} by airtime");
+}
+
+#[test]
+fn a_station_that_begins_goes_before_those_that_wait() {
+    let mean_ms = |discipline| {
+        let mut world = stations(queueing(discipline), &[80.0, 80.0, 80.0, 80.0, 80.0, 80.0, 5.0]);
+        let far: Vec<_> = (0..6).map(|i| format!("r{i}")).collect();
+        (0..100).for_each(|_| far.iter().for_each(|robot| world.down(at(0), "R", robot, 1500)));
+        let sent: Vec<_> = (4..24).map(|i| at(5 * i)).collect();
+        for now in &sent {
+            world.run(*now);
+            world.down(*now, "R", "r6", 100);
+        }
+        world.run(at(150));
+        let port = world.ports["r6"];
+        let arrived = world.arrived.iter().filter(|(_, at, _)| *at == port);
+        let waited: Duration = arrived.zip(&sent).map(|((due, ..), sent)| due.since(*sent)).sum();
+        waited.as_secs_f64() * 1e3 / sent.len() as f64
+    };
+    // A far station's frame takes 1.2 ms with its backoff. In turns, two or three of the six are left after 5 ms.
+    let (tail, fair) = (mean_ms(QueueDiscipline::DropTail), mean_ms(FAIR));
+    assert!(tail > 2.0 && fair < 1.5, "{tail:.2} and {fair:.2} ms");
+}
+
+#[test]
+fn frames_that_codel_drops_are_counted_and_shorten_the_wait() {
+    let run = |discipline| {
+        let mut world = stations(queueing(discipline), &[5.0]);
+        // A frame takes 0.4 ms with its backoff: twice the load that the channel carries, and packets of another flow.
+        for now in 0..2000 {
+            (0..5).for_each(|_| world.up(at(now), "r0", 1500));
+            world.run(at(now));
+        }
+        world.run(at(10_000));
+        (world.pushed, world.arrived.len() as u64, world.counters(at(10_000)))
+    };
+    let (pushed, arrived, counters) = run(FAIR);
+    assert!(counters.overflowed > 100, "{counters:?}");
+    assert_eq!(arrived + counters.overflowed + counters.lost, pushed);
+    let (pushed, arrived, counters) = run(QueueDiscipline::DropTail);
+    assert_eq!(arrived + counters.overflowed + counters.lost, pushed);
 }
 
 fn interferer(kind: InterfererKind, x: f64) -> Interferer {
@@ -298,7 +378,7 @@ fn held_frames_follow_a_contending_station_in_order() {
     for aggregation in [false, true] {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }.into(),
+            access: Edca { aggregation, ..base::edca() }.into(),
             ..contending()
         };
         let mut world = corridor(network, Roaming::Instructed);
@@ -322,7 +402,7 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
     let arrived = |rate_control, x: f64| {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Edca { aggregation: true, rate_control, power_save: None }.into(),
+            access: Edca { aggregation: true, rate_control, ..base::edca() }.into(),
             ..contending()
         };
         let mut world = stations(network, &[x]);
@@ -355,7 +435,7 @@ fn delays_to_sleeper(world: &mut World) -> Vec<u64> {
 
 fn sleeping() -> WirelessNetwork {
     let power_save = Some(PowerSave { idle: ms(100), dtim_period: 2 });
-    let access = Edca { aggregation: false, rate_control: RateControl::Ideal, power_save };
+    let access = Edca { power_save, ..base::edca() };
     WirelessNetwork { access: access.into(), ..contending() }
 }
 

@@ -11,7 +11,7 @@ fn us(us: u64) -> Duration {
 fn by_frames(fast_transition: bool) -> WirelessNetwork {
     let frames = Some(Frames { tick: ms(4) });
     WirelessNetwork {
-        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }.into(),
+        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, ..base::edca() }.into(),
         fast_transition,
         handover: HandoverTimes { frames, ..network().handover },
         ..network()
@@ -127,6 +127,6 @@ fn first_data_of_each_direction_bring_a_request_to_aggregate_and_its_answer() {
         counts
     };
     assert_eq!(asked(by_frames(true)), [0, 2, 2, 4]);
-    let alone = Edca { aggregation: false, rate_control: RateControl::Minstrel, power_save: None };
+    let alone = Edca { rate_control: RateControl::Minstrel, ..base::edca() };
     assert_eq!(asked(WirelessNetwork { access: alone.into(), ..by_frames(true) }), [0; 4]);
 }
