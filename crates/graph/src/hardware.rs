@@ -666,6 +666,15 @@ pub struct HandoverTimes {
     /// Whether a station scans before it follows an instruction to attach to another radio unit.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub scan_first: bool,
+    /// From one scan of an attached station to the next that it begins by itself, unless its supplicant has intervals of its own.
+    #[serde(
+        rename = "scan_every_ms",
+        default,
+        skip_serializing_if = "Option::is_none",
+        with = "millis::option"
+    )]
+    #[schema(value_type = Option<f64>)]
+    pub scan_every: Option<Duration>,
     /// Authentication.
     #[serde(rename = "authenticate_ms", with = "millis")]
     #[schema(value_type = f64)]

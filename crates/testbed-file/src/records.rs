@@ -491,6 +491,8 @@ record! {
         scan: Either<Duration, ScanRecord> = "100 ms",
         /// Whether a station scans before it follows an instruction to attach to another radio unit.
         scan_first: bool = false,
+        /// From one scan to the next that an attached station begins by itself, only to look. Not with `roaming: supplicant`.
+        scan_every: Option<Spanned<Duration>>,
         /// Authentication.
         authenticate: Duration = "15 ms",
         /// Reassociation.

@@ -122,6 +122,7 @@ pub fn wireless() -> WirelessNetwork {
             scan: ms(100),
             visits: None,
             scan_first: false,
+            scan_every: None,
             authenticate: ms(10),
             reassociate: ms(20),
             handshake: ms(40),

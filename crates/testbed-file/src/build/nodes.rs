@@ -93,6 +93,7 @@ impl Builder<'_> {
                 scan,
                 visits,
                 scan_first: handover.scan_first,
+                scan_every: self.scan_every(handover.scan_every.as_ref()),
                 authenticate: handover.authenticate,
                 reassociate: handover.reassociate,
                 handshake: handover.handshake,
@@ -174,6 +175,17 @@ impl Builder<'_> {
             return None;
         }
         Some(Some(Frames { tick }))
+    }
+
+    /// Returns the time from one scan to the next.
+    fn scan_every(&mut self, every: Option<&Spanned<Duration>>) -> Option<Duration> {
+        let every = every?;
+        if every.value < SHORTEST_SCAN_INTERVAL {
+            self.sink
+                .error(&every.span, "less than a second from scan to scan")
+                .help("write `1 s` or more; NetworkManager waits up to `120 s`");
+        }
+        Some(every.value)
     }
 
     /// Returns the duration of a scan, and its visits of other channels.

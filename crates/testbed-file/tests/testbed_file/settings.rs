@@ -85,8 +85,11 @@ fn a_scan_can_have_visits() {
     assert_eq!(both_bands.visits, Some(ScanVisits { passive, ..linux.visits.unwrap() }));
     let setting = ["wireless.lab.handover.scan_first=true"];
     assert!(with(&setting).unwrap().graph.wireless["lab"].handover.scan_first);
-    // Without visits, JSON is as it was.
-    assert!(!serde_json::to_string(&handover("100 ms")).unwrap().contains("visits"));
+    let setting = ["wireless.lab.handover.scan_every=120 s"];
+    assert_eq!(with(&setting).unwrap().graph.wireless["lab"].handover.scan_every, Some(ms(120_000)));
+    // Without visits and intervals, JSON is as it was.
+    let json = serde_json::to_string(&handover("100 ms")).unwrap();
+    assert!(!json.contains("visits") && !json.contains("scan_every"), "{json}");
 }
 
 #[test]

@@ -193,12 +193,15 @@ fn robots_roam_by_the_policy_of_the_file() {
 
 #[test]
 fn the_corridor_with_real_wifi_differs_from_the_corridor_by_its_radio_alone() {
-    let (plain, mut real) = (shipped("corridor.yaml"), shipped("corridor-wifi.yaml"));
-    let network = &real.graph.wireless["corridor"];
-    assert!(network.fading.is_some() && !network.access.interference().is_empty());
-    real.graph.wireless.clone_from(&plain.graph.wireless);
-    assert_eq!(real.graph, plain.graph);
-    assert_eq!((real.services, real.walks, real.map), (plain.services, plain.walks, plain.map));
+    let plain = shipped("corridor.yaml");
+    for name in ["corridor-wifi.yaml", "university.yaml"] {
+        let mut real = shipped(name);
+        let network = &real.graph.wireless["corridor"];
+        assert!(network.fading.is_some() && !network.access.interference().is_empty());
+        real.graph.wireless.clone_from(&plain.graph.wireless);
+        assert_eq!(real.graph, plain.graph);
+        assert_eq!((real.services, real.walks, &real.map), (plain.services.clone(), plain.walks.clone(), &plain.map));
+    }
 }
 
 #[test]

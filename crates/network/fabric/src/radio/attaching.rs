@@ -6,7 +6,7 @@ use super::{
     Path, Radio, RadioUnitIndex, RobotRadio, SEARCH_INTERVAL, StationIndex,
     roaming::{Verdict, next_beacon},
     station::{self, Joined, Purpose, Step},
-    supplicant::{Decision, Supplicant},
+    supplicant::Decision,
 };
 
 impl Radio {
@@ -42,17 +42,22 @@ impl Radio {
         self.timers.set(self.channels + robot, Some(next));
     }
 
-    /// Returns when the supplicant of an attached station scans next, if there is one.
-    fn next_scan(&self, robot: StationIndex) -> Option<Timestamp> {
+    /// Returns when an attached station scans next in the background, if it does.
+    pub(super) fn next_scan(&self, robot: StationIndex) -> Option<Timestamp> {
         let RobotRadio { station, policy, .. } = &self.robots[robot];
-        station.attached().and(policy.supplicant()).map(Supplicant::deadline)
+        station.attached()?;
+        policy.supplicant().map_or_else(|| station.next_scan(), |supplicant| Some(supplicant.deadline()))
     }
 
     fn scan_in_background(&mut self, robot: StationIndex, now: Timestamp) {
-        if let Some(supplicant) = self.robots[robot].policy.supplicant_mut() {
-            supplicant.scans(now);
-        }
-        self.begin_scan(robot, now, Purpose::Roam).expect("a station with a background scan due is not away");
+        let purpose = match self.robots[robot].policy.supplicant_mut() {
+            Some(supplicant) => {
+                supplicant.scans(now);
+                Purpose::Roam
+            }
+            None => Purpose::Look,
+        };
+        self.begin_scan(robot, now, purpose).expect("a station with a background scan due is not away");
     }
 
     fn beacon(&mut self, robot: StationIndex, now: Timestamp) {
@@ -75,7 +80,8 @@ impl Radio {
             supplicant.beacon(now, own);
         }
         match verdict {
-            Verdict::Stay if !is_watchful => {}
+            // Nothing changes until it moves, or scans in the background.
+            Verdict::Stay if !is_watchful => self.timers.set(self.channels + robot, self.next_scan(robot)),
             Verdict::Stay | Verdict::Watch => self.watch(robot, now),
             Verdict::Roam => {
                 self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");

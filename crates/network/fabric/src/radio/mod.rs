@@ -344,7 +344,7 @@ impl Radio {
                 radio.associate(Timestamp::ZERO, robot, unit);
                 radio.enter_channel(robot, unit, Timestamp::ZERO);
             }
-            if radio.robots[robot].policy.supplicant().is_some() {
+            if radio.robots[robot].policy.supplicant().is_some() || radio.next_scan(robot).is_some() {
                 radio.watch(robot, Timestamp::ZERO);
             }
         }

@@ -116,6 +116,8 @@ pub(super) enum Busy {
 pub(super) struct Station {
     attached: Option<RadioUnitIndex>,
     activity: Option<Activity>,
+    /// When the last scan began.
+    last_scan: Timestamp,
     times: HandoverTimes,
     fast_transition: bool,
     rng: Draws,
@@ -127,6 +129,7 @@ impl Station {
         Self {
             attached: None,
             activity: None,
+            last_scan: Timestamp::ZERO,
             times: network.handover,
             fast_transition: network.fast_transition,
             rng,
@@ -174,6 +177,11 @@ impl Station {
         })
     }
 
+    /// Returns when it next scans by itself to update the signals, if it does.
+    pub(super) fn next_scan(&self) -> Option<Timestamp> {
+        self.times.scan_every.map(|every| self.last_scan + every)
+    }
+
     fn busy(&self) -> Option<Busy> {
         self.activity.map(|a| match a.phase {
             Phase::Scan(Purpose::Attach(to), _)
@@ -189,6 +197,7 @@ impl Station {
         if let Some(busy) = self.busy() {
             return Err(busy);
         }
+        self.last_scan = now;
         let whole = self.vary(self.times.scan);
         self.visit(now, now, purpose, whole);
         Ok(())

@@ -418,6 +418,20 @@ fn an_instructed_change_can_begin_with_a_scan() {
 }
 
 #[test]
+fn a_station_scans_by_itself_so_long_after_its_last_scan() {
+    let handover = HandoverTimes { scan_every: Some(ms(1000)), variation: 0.0, ..network().handover };
+    for roaming in [Roaming::Instructed, Roaming::Signal] {
+        let mut world = corridor(WirelessNetwork { handover, ..network() }, roaming);
+        world.run(at(1500));
+        // An instructed one counts, too.
+        world.radio.scan(at(1500), &id("r")).unwrap();
+        world.run(at(4000));
+        let ends: Vec<_> = world.events().iter().map(|scanned| scanned.at).collect();
+        assert_eq!(ends, [at(1100), at(1600), at(2600), at(3600)], "it stays where it is, and scans");
+    }
+}
+
+#[test]
 fn a_radio_unit_that_is_switched_off_between_visits_is_lost() {
     let visits = Some(ScanVisits { dwell: ms(60), passive: None, away: ms(60), back: ms(200) });
     let handover = HandoverTimes { scan: ms(780), visits, ..network().handover };
@@ -784,7 +798,9 @@ proptest! {
         let shadowing = Shadowing { deviation_db, correlation_m: 5.0 };
         let passive = listens.then_some(PassiveVisits { channels: 2, dwell: ms(30) });
         let visits = visited.then_some(ScanVisits { dwell: ms(20), passive, away: ms(40), back: ms(50) });
-        let handover = HandoverTimes { variation: 0.5, visits, scan_first: listens, ..network().handover };
+        let scan_every = listens.then_some(ms(300));
+        let handover =
+            HandoverTimes { variation: 0.5, visits, scan_first: listens, scan_every, ..network().handover };
         let robots = ["a", "b", "c"];
         let units = ["R1", "R2", "R3"];
         let roaming = [Roaming::Signal, supplicant::every(1), Roaming::Instructed];
