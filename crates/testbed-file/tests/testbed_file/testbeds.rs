@@ -200,7 +200,10 @@ fn the_corridor_with_real_wifi_differs_from_the_corridor_by_its_radio_alone() {
         assert!(network.fading.is_some() && !network.access.interference().is_empty());
         real.graph.wireless.clone_from(&plain.graph.wireless);
         assert_eq!(real.graph, plain.graph);
-        assert_eq!((real.services, real.walks, &real.map), (plain.services.clone(), plain.walks.clone(), &plain.map));
+        assert_eq!(
+            (real.services, real.walks, &real.map),
+            (plain.services.clone(), plain.walks.clone(), &plain.map)
+        );
     }
 }
 

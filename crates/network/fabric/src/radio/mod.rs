@@ -48,7 +48,7 @@ use std::{
 use cotorra_graph::{
     AccessPoint, Attachment, Band, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy,
     HardwareGraph, LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueDiscipline,
-    QueueLimit, RadioContext, Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
+    RadioContext, Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
 use cotorra_numbers::Draws;
 

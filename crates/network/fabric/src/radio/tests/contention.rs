@@ -200,7 +200,7 @@ fn wider_channels_and_a_second_stream_raise_the_throughput() {
             standard: WifiStandard::Ax,
             width,
             streams,
-            access: Edca { aggregation: true, rate_control: RateControl::Ideal, power_save: None }.into(),
+            access: Edca { aggregation: true, rate_control: RateControl::Ideal, ..base::edca() }.into(),
             ..contending()
         };
         let mut world = stations(network, &[2.0]);
