@@ -185,9 +185,11 @@ nodes:
   R: { kind: radio_unit, network: lab, position: [0, 0], channel: 1 }
   edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
   cloud: { kind: server, tier: cloud, cpus: 1, memory: 1 GB }
+  switch: { kind: switch }
 links:
-  - { ends: [edge, cloud], delay: 5 ms }
-  - { ends: [R, edge], delay: 5 ms, jitter: 1 ms, rate: 10 Mbit/s }
+  - { ends: [R, switch], delay: 5 ms, jitter: 1 ms, rate: 10 Mbit/s }
+  - { ends: [switch, edge], delay: 1 ms }
+  - { ends: [switch, cloud], delay: 5 ms }
 traffic:
   bulk: { from: cloud, to: edge, protocol: tcp }
   up: { from: R, to: edge, protocol: tcp }
