@@ -257,18 +257,29 @@ fn a_packet_of_another_flow_does_not_wait_for_a_burst() {
 
 #[test]
 fn a_radio_unit_gives_stations_equal_airtime() {
-    let arrived = |discipline| {
-        let mut world = stations(queueing(discipline), &[5.0, 80.0]);
-        (0..1000).for_each(|_| ["r0", "r1"].iter().for_each(|robot| world.down(at(0), "R", robot, 1500)));
-        world.run(at(300));
-        ["r0", "r1"]
-            .map(|robot| world.arrived.iter().filter(|(_, port, _)| *port == world.ports[robot]).count())
+    // A station near its radio unit at 65 Mbit/s, and one far away at 6.5 Mbit/s: frames that each gets in a second.
+    let frames = |queue_discipline, robots: &[&str]| {
+        let edca = Edca { queue: QueueLimit::Packets(5000), queue_discipline, ..base::edca() };
+        let network =
+            WirelessNetwork { standard: WifiStandard::N, access: edca.into(), ..queueing(queue_discipline) };
+        let mut world = stations(network, &[5.0, 205.0]);
+        (0..5000).for_each(|_| robots.iter().for_each(|robot| world.down(at(0), "R", robot, 1500)));
+        let until = at(1000);
+        world.run(until);
+        ["r0", "r1"].map(|robot| {
+            let port = world.ports[robot];
+            world.arrived.iter().filter(|(due, at, _)| *at == port && *due <= until).count() as f64
+        })
     };
-    let [near, far] = arrived(QueueDiscipline::DropTail);
-    assert!(near.abs_diff(far) <= near / 10, "{near} and {far} in turns");
-    // At 54 and 12 Mbit/s, a frame and its acknowledgement take 292 and 1120 µs.
-    let [near, far] = arrived(FAIR);
-    assert!(near > 2 * far, "{near} and {far} by airtime");
+    // Without AIFS of 37 µs and 7.5 slots of backoff, what is left of a second of one alone is the airtime of its frames.
+    let airtimes_us = [("r0", 0), ("r1", 1)].map(|(robot, i)| 1e6 / frames(FAIR, &[robot])[i] - 37.0 - 67.5);
+    let both = |discipline| frames(discipline, &["r0", "r1"]);
+    let (tail, fair) = (both(QueueDiscipline::DropTail), both(FAIR));
+    println!("frames of {airtimes_us:.0?} us: {tail:?} in turns, {fair:?} by airtime");
+    assert!(airtimes_us[1] > 6.0 * airtimes_us[0], "{airtimes_us:?}");
+    assert!((tail[0] / tail[1] - 1.0).abs() < 0.02, "{tail:?}");
+    let ratio = fair[0] * airtimes_us[0] / (fair[1] * airtimes_us[1]);
+    assert!((ratio - 1.0).abs() < 0.03, "{fair:?} of {airtimes_us:?} us");
 }
 
 #[test]
