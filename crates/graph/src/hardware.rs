@@ -663,7 +663,7 @@ pub struct HandoverTimes {
     /// Visits into which an attached station divides a scan. Without them, it is away for all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visits: Option<ScanVisits>,
-    /// Whether a station scans before it follows an instruction to attach to another radio unit.
+    /// Whether a station scans before it follows an instruction to attach to another radio unit, unless it has scanned within 5 s.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub scan_first: bool,
     /// From one scan of an attached station to the next that it begins by itself, unless its supplicant has intervals of its own.

@@ -489,7 +489,8 @@ record! {
     HandoverRecord {
         /// Scanning all channels, off one's own. A time, or a mapping.
         scan: Either<Duration, ScanRecord> = "100 ms",
-        /// Whether a station scans before it follows an instruction to attach to another radio unit.
+        /// Whether a station scans before it follows an instruction to attach to another radio unit, unless it has scanned within
+        /// 5 s.
         scan_first: bool = false,
         /// From one scan to the next that an attached station begins by itself, only to look. Not with `roaming: supplicant`.
         scan_every: Option<Spanned<Duration>>,

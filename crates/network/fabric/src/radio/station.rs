@@ -22,6 +22,9 @@ const SENDINGS: u32 = 3;
 /// after the request.
 const FORGETTING: Duration = Duration::from_micros(2300);
 
+/// Age of a scan's result up to which a station associates by it (wpa_supplicant's `scan_res_valid_for_connect`).
+const VALID: Duration = Duration::from_secs(5);
+
 /// The purpose of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
@@ -118,6 +121,8 @@ pub(super) struct Station {
     activity: Option<Activity>,
     /// When the last scan began.
     last_scan: Timestamp,
+    /// When it ended.
+    scanned: Option<Timestamp>,
     times: HandoverTimes,
     fast_transition: bool,
     rng: Draws,
@@ -130,6 +135,7 @@ impl Station {
             attached: None,
             activity: None,
             last_scan: Timestamp::ZERO,
+            scanned: None,
             times: network.handover,
             fast_transition: network.fast_transition,
             rng,
@@ -219,7 +225,9 @@ impl Station {
                 Ok(())
             }
             None if self.attached == Some(to) => Ok(()),
-            None if self.times.scan_first => self.scan(now, Purpose::Attach(to)),
+            None if self.times.scan_first && self.scanned.is_none_or(|at| now.since(at) > VALID) => {
+                self.scan(now, Purpose::Attach(to))
+            }
             None => {
                 self.begin(now, now, Stage::Authenticate, to);
                 Ok(())
@@ -261,6 +269,7 @@ impl Station {
         let Activity { left, phase, ends } = activity;
         match phase {
             Phase::Scan(purpose, Duration::ZERO) => {
+                self.scanned = Some(ends);
                 let to = match purpose {
                     Purpose::Look => None,
                     Purpose::Attach(to) => Some(to),
@@ -576,6 +585,12 @@ mod tests {
         assert_eq!((steps.last(), took), (Some(&Step::Attached(joined)), ms(60 + 200 + 70)));
         station.attach(at(400), 1).unwrap();
         assert!(!station.is_busy(), "it is there already");
+        // The scan ended at 300 ms. Its result is good for 5 s.
+        let joined = Joined { from: Some(1), to: 0, fast: true, gap: ms(30) };
+        station.attach(at(5300), 0).unwrap();
+        assert_eq!(run(&mut station, at(5300), None).0, [Step::Underway, Step::Attached(joined)]);
+        station.attach(at(5330), 1).unwrap();
+        assert!(run(&mut station, at(5330), None).0.contains(&Step::Scanned));
     }
 
     #[test]
