@@ -14,6 +14,7 @@ use crate::{
     driver::Driver,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
+    queue::QueueLimit,
     real_machine::{Gateway, Machine, RealRadio, RealServer},
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
@@ -609,6 +610,14 @@ impl WifiStandard {
             Self::Ac => "802.11ac at 5 GHz",
             Self::Ax => "802.11ax",
         }
+    }
+
+    /// Returns the limit of Linux's queue of a radio (mac80211): 16 MiB of memory with VHT, and 4 MiB without (`fq_init` in
+    /// `include/net/fq_impl.h`, `ieee80211_txq_setup_flows` in `net/mac80211/tx.c`). A full frame takes 2304 bytes: 2048 and its
+    /// `struct sk_buff`.
+    pub const fn queue_limit(self) -> QueueLimit {
+        let memory_mib = if matches!(self, Self::G | Self::A | Self::N) { 4 } else { 16 };
+        QueueLimit::Packets((memory_mib << 20) / 2304)
     }
 }
 

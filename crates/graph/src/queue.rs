@@ -4,10 +4,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    hardware::WifiStandard,
-    units::{Probability, millis},
-};
+use crate::units::{Probability, millis};
 
 /// Limit of a link's queue, without the packet in transmission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -17,16 +14,6 @@ pub enum QueueLimit {
     Packets(u32),
     /// Limit in bytes of Ethernet frames, as rates count them.
     Bytes(u64),
-}
-
-impl QueueLimit {
-    /// Returns the limit of Linux's mac80211: 16 MiB of memory with VHT, and 4 MiB without (`fq_init` in `include/net/fq_impl.h`,
-    /// `ieee80211_txq_setup_flows` in `net/mac80211/tx.c`). A full frame takes 2304 bytes: 2048 and its `struct sk_buff`.
-    pub const fn mac80211(standard: WifiStandard) -> Self {
-        let memory_mib =
-            if matches!(standard, WifiStandard::G | WifiStandard::A | WifiStandard::N) { 4 } else { 16 };
-        Self::Packets((memory_mib << 20) / 2304)
-    }
 }
 
 impl Default for QueueLimit {

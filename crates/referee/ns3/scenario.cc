@@ -153,6 +153,8 @@ class Json
 
 constexpr uint16_t ANSWERS = 7000;
 constexpr uint16_t TAKES = 7001;
+/// Port of nobody.
+constexpr uint16_t DISCARD = 9;
 /// Port of the first source of traffic.
 constexpr uint16_t TRAFFIC = 8000;
 /// Bytes of an Ethernet header.
@@ -366,7 +368,14 @@ class Traffic
             m_sink->SetAcceptCallback(MakeNullCallback<bool, Ptr<Socket>, const Address&>(),
                                       MakeCallback(&Traffic::Accept, this));
         }
-        Simulator::Schedule(Seconds(m_spec["start_s"].Number()), [this, address] { Begin(address()); });
+        const Time start = Seconds(m_spec["start_s"].Number());
+        // Addresses and block acknowledgements are there before the traffic, as for robots that move already.
+        const Time before = MilliSeconds(500 - 2 * (m_port - TRAFFIC) % 400);
+        Simulator::Schedule(start - before, [this, address] {
+            Ptr<Socket> first = Socket::CreateSocket(m_from, UdpSocketFactory::GetTypeId());
+            first->SendTo(Create<Packet>(1), 0, InetSocketAddress(address(), DISCARD));
+        });
+        Simulator::Schedule(start, [this, address] { Begin(address()); });
     }
 
     void Write(std::ostream& out) const

@@ -36,7 +36,7 @@ impl Builder<'_> {
                 aggregation: can_aggregate,
                 rate_control: RateControl::Minstrel,
                 power_save: None,
-                queue: QueueLimit::mac80211(record.standard),
+                queue: record.standard.queue_limit(),
                 queue_discipline: QueueDiscipline::FqCodel(FqCodel::MAC80211),
             }),
             Either::Long(settings) => {
@@ -67,7 +67,7 @@ impl Builder<'_> {
     ) -> Option<(QueueLimit, QueueDiscipline)> {
         let Some(queue) = queue else {
             let fair = QueueDiscipline::FqCodel(FqCodel::MAC80211);
-            return Some((QueueLimit::mac80211(standard), fair));
+            return Some((standard.queue_limit(), fair));
         };
         let (limit, discipline) = self.queue(Some(&queue.value))?;
         let discipline = discipline.unwrap_or_default();
