@@ -488,6 +488,8 @@ fn attributes(discipline: QueueDiscipline) -> BTreeMap<&'static str, String> {
             ("Tupdate", ns(update)),
             ("MaxBurstAllowance", ns(burst)),
             ("UseEcn", ecn.to_string()),
+            ("UseDerandomization", true.to_string()),
+            ("UseCapDropAdjustment", true.to_string()),
         ]
         .into(),
         QueueDiscipline::Red(Red { thresholds, probability, weight, ecn }) => {
