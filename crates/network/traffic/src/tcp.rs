@@ -6,7 +6,7 @@ use cotorra_graph::{CongestionControl, Timestamp};
 use cotorra_numbers::{Draws, Gathered, Quantiles};
 
 use crate::{
-    TcpMeasured, gather,
+    measured::{TcpMeasured, gather},
     receiver::Receiver,
     segment::{Ends, Segment},
     sender::Sender,

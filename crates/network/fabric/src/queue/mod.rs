@@ -7,7 +7,7 @@
 mod codel;
 mod fifo;
 mod fq_codel;
-mod packet;
+pub(crate) mod packet;
 mod pie;
 mod red;
 
@@ -15,8 +15,6 @@ use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Conditions, QueueDiscipline, QueueLimit, Rate, Timestamp};
 use cotorra_numbers::Draws;
-
-pub(crate) use self::packet::{flow, mark};
 
 use self::{codel::Codel, fifo::Fifo, fq_codel::FqCodel, pie::Pie, red::Red};
 

@@ -7,7 +7,7 @@ use cotorra_graph::{QueueDiscipline, QueueLimit, Timestamp};
 
 use crate::frame::Frame;
 use crate::port::{RadioUnitIndex, StationIndex};
-use crate::queue::{self, Queued};
+use crate::queue::{Queued, packet};
 
 /// A frame that waits for the channel.
 #[derive(Debug)]
@@ -37,11 +37,11 @@ impl Queued for Waiting {
     }
 
     fn flow(&self) -> u64 {
-        queue::flow(self.frame.bytes())
+        packet::flow(self.frame.bytes())
     }
 
     fn mark(&mut self) -> bool {
-        queue::mark(self.frame.bytes_mut())
+        packet::mark(self.frame.bytes_mut())
     }
 }
 

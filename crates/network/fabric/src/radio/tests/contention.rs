@@ -262,7 +262,7 @@ fn a_radio_unit_gives_stations_equal_airtime() {
         let edca = Edca { queue: QueueLimit::Packets(5000), queue_discipline, ..base::edca() };
         let network =
             WirelessNetwork { standard: WifiStandard::N, access: edca.into(), ..queueing(queue_discipline) };
-        let mut world = stations(network, &[5.0, 205.0]);
+        let mut world = stations(network, &[5.0, 125.0]);
         (0..5000).for_each(|_| robots.iter().for_each(|robot| world.down(at(0), "R", robot, 1500)));
         let until = at(1000);
         world.run(until);
