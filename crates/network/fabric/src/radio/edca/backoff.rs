@@ -28,6 +28,8 @@ pub(super) struct Backoff {
     parameters: Parameters,
     aifs: Duration,
     window: u32,
+    /// Attempts that failed since the window was smallest (QSRC).
+    failures: u32,
     /// Slots to count after `idle_from` and AIFS.
     slots: u32,
     /// End of the last transmission that it sensed.
@@ -42,6 +44,7 @@ impl Backoff {
         Self {
             aifs: sifs + parameters.aifsn * SLOT,
             window: parameters.cw_min,
+            failures: 0,
             slots: 0,
             idle_from: Timestamp::ZERO,
             ready: Timestamp::ZERO,
@@ -81,15 +84,21 @@ impl Backoff {
         self.idle_from = self.idle_from.max(until);
     }
 
-    /// Begins a new countdown after an acknowledged frame, or after one that was given up.
+    /// Whether an attempt that fails now is the last of `most` in a row, after which the window is reset.
+    pub(super) fn is_last(&self, most: u32) -> bool {
+        self.failures + 1 >= most
+    }
+
+    /// Begins a new countdown after an acknowledged frame, or after the last failure in a row.
     pub(super) fn reset(&mut self) {
-        self.window = self.parameters.cw_min;
+        (self.window, self.failures) = (self.parameters.cw_min, 0);
         self.draw();
     }
 
     /// Begins a new countdown with a doubled window, after a frame that was not acknowledged.
     pub(super) fn double(&mut self) {
         self.window = (2 * self.window + 1).min(self.parameters.cw_max);
+        self.failures += 1;
         self.draw();
     }
 

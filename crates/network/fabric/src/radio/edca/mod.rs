@@ -447,7 +447,12 @@ impl Edca {
         }
     }
 
-    /// Begins the backoff after an exchange. `done` says whether its frames were acknowledged or given up.
+    /// Whether an attempt that fails now is the last of `most` in a row.
+    fn is_last(&mut self, emitter: Emitter, category: usize, most: u32) -> bool {
+        self.node(emitter).is_none_or(|node| node.contentions[category].backoff.is_last(most))
+    }
+
+    /// Begins the backoff after an exchange. `done` says whether its frames were acknowledged, or it was the last of them.
     fn end_exchange(&mut self, now: Timestamp, emitter: Emitter, category: usize, done: bool) {
         if let Some(node) = self.node(emitter) {
             let backoff = &mut node.contentions[category].backoff;

@@ -13,14 +13,18 @@ use crate::{
 /// Airtime that a receiver without any gets in each round, µs (Linux's `IEEE80211_DEFAULT_AIRTIME_WEIGHT`).
 const ROUND_US: u64 = 256;
 
+/// Rounds after which a frame under a block acknowledgement agreement is given up: once, and the retries of Linux's ath9k
+/// (`ATH_MAX_SW_RETRIES`). The standard goes on for the frame's lifetime (10.25.2).
+const ROUNDS: u32 = 31;
+
 /// A frame that was sent at least once.
 #[derive(Debug)]
 struct Sent {
     waiting: Waiting,
-    attempts: u32,
-    /// Start and airtime of its first attempt.
-    began: Timestamp,
-    first: Duration,
+    /// Attempts or rounds, see [`Limit`].
+    tries: u32,
+    /// Start and airtime of its first attempt; `None` until that ends.
+    first: Option<(Timestamp, Duration)>,
     state: State,
 }
 
@@ -41,12 +45,29 @@ pub(in crate::radio) struct Settled {
     pub(super) received: bool,
 }
 
+impl Sent {
+    fn settled(self, received: bool) -> Option<Settled> {
+        let (began, first) = self.first?;
+        Some(Settled { waiting: self.waiting, began, first, received })
+    }
+}
+
 /// The outcome of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Outcome {
     pub(super) sent: u32,
     pub(super) received: u32,
     pub(super) given_up: u32,
+}
+
+/// When a frame that was not received is given up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Limit {
+    /// After this many attempts: without an agreement.
+    Attempts(u32),
+    /// After [`ROUNDS`] rounds: under a block acknowledgement agreement. A round ends with a block acknowledgement, or with an
+    /// attempt that is the `last` one in a row that nobody answers.
+    Rounds { last: bool },
 }
 
 /// Frames that are sent together.
@@ -186,37 +207,35 @@ impl Stream {
             }
             lengths.push(bytes);
             let Some(waiting) = self.queue.pop() else { break };
-            let state = State::OnAir;
-            let (began, first) = (Timestamp::ZERO, Duration::ZERO);
-            self.window.push_back(Sent { waiting, attempts: 0, began, first, state });
+            self.window.push_back(Sent { waiting, tries: 0, first: None, state: State::OnAir });
         }
         lengths
     }
 
     /// Ends the attempt on the air, which took from `start` to `end`. `receives` decides for each frame in turn, by its length.
-    /// A frame is given up after `most` attempts.
     pub(super) fn conclude(
         &mut self,
         [start, end]: [Timestamp; 2],
-        most: u32,
+        limit: Limit,
         mut receives: impl FnMut(usize) -> bool,
     ) -> Outcome {
         let mut outcome = Outcome { sent: 0, received: 0, given_up: 0 };
         for sent in self.window.iter_mut().filter(|sent| sent.state == State::OnAir) {
-            if sent.attempts == 0 {
-                (sent.began, sent.first) = (start, end.since(start));
-            }
-            sent.attempts += 1;
+            sent.first.get_or_insert((start, end.since(start)));
             outcome.sent += 1;
-            sent.state = if receives(sent.waiting.frame.bytes().len()) {
+            if receives(sent.waiting.frame.bytes().len()) {
                 outcome.received += 1;
-                State::Received
-            } else if sent.attempts >= most {
-                outcome.given_up += 1;
-                State::GivenUp
-            } else {
-                State::ToRetry
-            };
+                sent.state = State::Received;
+            }
+        }
+        let (counts, most) = match limit {
+            Limit::Attempts(most) => (true, most),
+            Limit::Rounds { last } => (last || outcome.received > 0, ROUNDS),
+        };
+        for sent in self.window.iter_mut().filter(|sent| sent.state == State::OnAir) {
+            sent.tries += u32::from(counts);
+            sent.state = if sent.tries >= most { State::GivenUp } else { State::ToRetry };
+            outcome.given_up += u32::from(sent.state == State::GivenUp);
         }
         outcome
     }
@@ -261,19 +280,18 @@ impl Stream {
             State::GivenUp => false,
             State::ToRetry | State::OnAir => return None,
         };
-        let Sent { waiting, began, first, .. } = self.window.pop_front()?;
-        Some(Settled { waiting, began, first, received })
+        self.window.pop_front()?.settled(received)
     }
 
     /// Ends the agreement with a receiver that is gone. Returns the frames that it received; the others wait for the next one.
     pub(super) fn part(&mut self) -> Vec<Settled> {
         self.epoch += 1;
         let mut received = Vec::new();
-        while let Some(Sent { waiting, began, first, state, .. }) = self.window.pop_back() {
-            match state {
-                State::Received => received.push(Settled { waiting, began, first, received: true }),
-                State::GivenUp => received.push(Settled { waiting, began, first, received: false }),
-                State::ToRetry | State::OnAir => self.queue.push_front(waiting),
+        while let Some(sent) = self.window.pop_back() {
+            match sent.state {
+                State::Received => received.extend(sent.settled(true)),
+                State::GivenUp => received.extend(sent.settled(false)),
+                State::ToRetry | State::OnAir => self.queue.push_front(sent.waiting),
             }
         }
         received.reverse();
@@ -300,6 +318,7 @@ mod tests {
     use crate::frame::Frame;
 
     const ALL: Batch = Batch { frames: 64, cost: u64::MAX };
+    const SEVEN: Limit = Limit::Attempts(7);
 
     /// A frame of a flow, which tells its number.
     fn frame(flow: u8, number: u8) -> Frame {
@@ -337,7 +356,7 @@ mod tests {
     fn attempt(stream: &mut Stream, batch: Batch, arrive: &[usize]) -> Vec<(u8, bool)> {
         send(stream, batch, |_| 1);
         let mut place = 0;
-        stream.conclude([at(0), at(10)], 7, |_| {
+        stream.conclude([at(0), at(10)], SEVEN, |_| {
             place += 1;
             arrive.contains(&(place - 1))
         });
@@ -368,6 +387,29 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_under_an_agreement_is_given_up_after_31_rounds() {
+        let mut stream = stream(2);
+        let mut attempt = |last, arrives: bool| {
+            send(&mut stream, ALL, |_| 1);
+            let mut second = false;
+            stream.conclude([at(0), at(10)], Limit::Rounds { last }, |_| {
+                std::mem::replace(&mut second, arrives)
+            });
+            settled(&mut stream)
+        };
+        // A block acknowledgement without the first frame ends its first round.
+        assert_eq!(attempt(false, true), []);
+        for _ in 1..30 {
+            // Of attempts that nobody answers, only the last one in a row ends a round.
+            for last in [false, false, true] {
+                assert_eq!(attempt(last, false), []);
+            }
+        }
+        assert_eq!(attempt(false, false), []);
+        assert_eq!(attempt(true, false), [(0, false), (1, true)]);
+    }
+
+    #[test]
     fn a_batch_is_bounded_by_frames_cost_and_window() {
         assert_eq!(send(&mut stream(200), ALL, |_| 1).len(), 64);
         assert_eq!(send(&mut stream(200), Batch { cost: 2500, ..ALL }, |bytes| bytes as u64).len(), 2);
@@ -383,7 +425,7 @@ mod tests {
         let mut stream = stream(4);
         send(&mut stream, Batch { frames: 3, ..ALL }, |_| 1);
         let mut place = 0;
-        stream.conclude([at(0), at(10)], 7, |_| {
+        stream.conclude([at(0), at(10)], SEVEN, |_| {
             place += 1;
             place == 2
         });
@@ -434,7 +476,7 @@ mod tests {
             let mut all = Vec::new();
             for _ in 0..1000 {
                 send(&mut stream, Batch { frames: batch, ..ALL }, |_| 1);
-                stream.conclude([at(0), at(10)], 7, |_| !losses.next().unwrap());
+                stream.conclude([at(0), at(10)], SEVEN, |_| !losses.next().unwrap());
                 all.extend(settled(&mut stream).into_iter().map(|(number, _)| number));
             }
             prop_assert_eq!(all, (0..frames).collect::<Vec<_>>());

@@ -7,7 +7,7 @@ use cotorra_graph::{Dbm, Timestamp};
 use super::{
     Edca, Emitter,
     overlap::{self, Overlap, Overlapped},
-    stream::{Batch, Settled},
+    stream::{Batch, Limit, Settled},
 };
 use crate::{
     port::RadioUnitIndex,
@@ -78,6 +78,8 @@ pub(super) struct Content {
     /// Changes of the flow's receiver before it.
     epoch: u32,
     attempt: Attempt,
+    /// Whether its receiver sends block acknowledgements.
+    under_agreement: bool,
     /// End of the transmission opportunity.
     until: Timestamp,
     /// The frames that follow an RTS.
@@ -202,10 +204,9 @@ impl Radio {
             self.lane(path).rates().attempt(now, phy, &reception, next_bytes)
         });
         let mode = attempt.mode;
-        let batch = match phy.aggregate_within(mode, LONGEST_AGGREGATE) {
-            Some(bytes) if !attempt.alone && self.aggregates(emitter) => {
-                Batch { frames: phy.aggregated_frames(), cost: bytes }
-            }
+        let aggregate = phy.aggregate_within(mode, LONGEST_AGGREGATE).filter(|_| self.aggregates(emitter));
+        let batch = match aggregate {
+            Some(bytes) if !attempt.alone => Batch { frames: phy.aggregated_frames(), cost: bytes },
             _ => SINGLE,
         };
         let edca = self.edca();
@@ -217,6 +218,7 @@ impl Radio {
             bytes: lengths.iter().sum(),
             epoch: edca.stream(flow, category).epoch(),
             attempt,
+            under_agreement: aggregate.is_some(),
             until: edca.begin_opportunity(now, emitter, category),
             protects: None,
         };
@@ -302,7 +304,8 @@ impl Radio {
     }
 
     fn end_unicast(&mut self, channel: usize, ended: &OnAir, content: &Content, path: Path) {
-        let &Content { flow, category, bytes: all_bytes, epoch, attempt, until, protects } = content;
+        let &Content { flow, category, bytes: all_bytes, epoch, attempt, under_agreement, until, protects } =
+            content;
         let now = ended.data_ends;
         if self.edca().stream(flow, category).epoch() != epoch {
             // The station has left its channel.
@@ -312,9 +315,11 @@ impl Radio {
         let data = ended.start + self.phy_of(ended.emitter).preamble();
         let time_of = |bytes: usize| now.since(data).mul_f64(bytes as f64 / all_bytes as f64);
         let mut edca = self.edca.take().expect("a network with contention");
+        let last = edca.is_last(ended.emitter, category, attempt.most);
+        let limit = if under_agreement { Limit::Rounds { last } } else { Limit::Attempts(attempt.most) };
         let lane = self.lane(path);
         let mut sent_bytes = 0;
-        let outcome = edca.stream(flow, category).conclude([ended.start, now], attempt.most, |bytes| {
+        let outcome = edca.stream(flow, category).conclude([ended.start, now], limit, |bytes| {
             let span = [sent_bytes, sent_bytes + bytes].map(|bytes| data + time_of(bytes));
             sent_bytes += bytes;
             let lost =
@@ -326,7 +331,8 @@ impl Radio {
         let settled: Vec<_> = std::iter::from_fn(|| edca.stream(flow, category).settle()).collect();
         self.edca = Some(edca);
         self.settle(now, path, settled);
-        let done = outcome.received > 0 || outcome.given_up > 0;
+        let given_up = if under_agreement { last } else { outcome.given_up > 0 };
+        let done = outcome.received > 0 || given_up;
         if let Flow::Down(_) = flow {
             self.edca().stream(flow, category).spend(ended.ends.since(ended.start));
         }
@@ -352,7 +358,7 @@ impl Radio {
         let &Content { flow, category, .. } = content;
         let now = ended.data_ends;
         let stream = self.edca().stream(flow, category);
-        stream.conclude([ended.start, now], 1, |_| true);
+        stream.conclude([ended.start, now], Limit::Attempts(1), |_| true);
         let sent = stream.settle();
         self.edca().end_exchange(now, ended.emitter, category, true);
         self.edca().take_turn(ended.emitter, category, flow);
