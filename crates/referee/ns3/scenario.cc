@@ -741,6 +741,8 @@ Run(const std::string& path, uint32_t seed)
     const uint64_t queued = static_cast<uint64_t>(scenario["radio_queue"].Number());
     Config::SetDefault("ns3::WifiMacQueue::MaxSize", QueueSizeValue(QueueSize(PACKETS, queued)));
     Config::SetDefault("ns3::WifiMacQueue::MaxDelay", TimeValue(Seconds(10)));
+    // Linux sends the frames again; it does not ask first which of them arrived.
+    Config::SetDefault("ns3::QosTxop::UseExplicitBarAfterMissedBlockAck", BooleanValue(false));
     // As Linux's neighbours that stay reachable: no request for an address in the middle of a run.
     Config::SetDefault("ns3::ArpCache::AliveTimeout", TimeValue(Seconds(100000)));
     // As ours: segments of a path of 1500 bytes with time stamps, and a receiver's window of 6 MiB.
