@@ -7,6 +7,8 @@
 
 mod coverage;
 mod exploration;
+mod history;
+mod measured;
 mod model;
 mod network_view;
 mod paths;
@@ -14,33 +16,37 @@ mod placement;
 mod search;
 mod settings;
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
     Event, Instruction, LinkId, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service,
     Testbed, Timestamp, VirtualLink,
 };
-use cotorra_plugin::{Actions, Plugin, client::Client, settings::InvalidSettings};
+use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
 
 pub use crate::{
+    history::LinkHistory,
     model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
     placement::place,
     search::{Infeasible, Placed, Search, Slack},
 };
 use crate::{
-    network_view::NetworkView,
+    measured::Memory,
+    network_view::{Concerned, NetworkView},
     settings::{Delays, Settings},
 };
 
 /// A location is new so far from the last, metres: as often as localization publishes one.
 const NEW_LOCATION_M: f64 = 0.25;
+/// Shortest time between two decisions at the same location.
+const PAUSE: Duration = Duration::from_secs(1);
 
 /// Orchestrates every service by its KPIs.
 #[derive(Debug)]
 pub struct Okpi {
     settings: Settings,
     now: Option<NetworkView>,
-    client: Option<Client>,
+    history: Option<Box<dyn LinkHistory>>,
     /// Decisions for the services, in the testbed's order.
     decisions: Vec<Decision>,
 }
@@ -54,6 +60,22 @@ struct Decision {
     attachment: Option<NodeId>,
     /// Whether the warning that KPIs cannot be kept was given.
     warned: bool,
+    /// Time of the last check whether a decision is due.
+    checked: Timestamp,
+    /// Whether a sample missed its KPI, or a measurement changed, since then.
+    in_question: bool,
+    /// Whether something measured counted in the decision.
+    is_by_measurement: bool,
+    /// Links that the service left.
+    memory: Memory,
+}
+
+impl Decision {
+    /// Whether measurements are to be checked where the last decision was made.
+    fn is_due(&self, now: Timestamp, settings: &Settings) -> bool {
+        let wait = if self.in_question { PAUSE } else { settings.measurements.every };
+        settings.delays != Delays::Asked && now.since(self.checked) >= wait
+    }
 }
 
 impl Okpi {
@@ -72,8 +94,12 @@ impl Okpi {
     ///   its area, and kept so far beyond it;
     /// - `processing`: VNFs that take time, as `navigation: { service_rate: 500 /s, arrival_rate: 20 /s }`: the μ
     ///   and λ of an M/M/1 queue with processor sharing; by default none does;
-    /// - `delays`: `events`, the default, learns of links as they change; `history` asks the history, at each new
-    ///   location, what was known of them, as the letter's did. It needs [`Okpi::asking`];
+    /// - `delays`: `measured`, the default, counts links with their measured delays, loads and losses, and at least as
+    ///   configured; `history` reads the same from the history, as the letter's did, with [`Okpi::reading`]; `asked` counts
+    ///   them as they are configured;
+    /// - `measurements`: use of these. A delay beyond the configured one counts from a `tolerance` on, by default `1 ms`; the
+    ///   highest of a `window` counts, by default `10 s`. Decisions are checked `every` `5 s` by default. A link that a
+    ///   service left counts as it was for a `hold`, by default `60 s`, doubled with each return;
     /// - `services`: those that are orchestrated, as `[navigation]`; by default all are.
     ///
     /// [`Okpi::for_testbed`] checks the names in them.
@@ -83,7 +109,7 @@ impl Okpi {
     pub fn from_settings(
         settings: &serde_json::Map<String, serde_json::Value>,
     ) -> Result<Self, InvalidSettings> {
-        Ok(Self { settings: Settings::decode(settings)?, now: None, client: None, decisions: Vec::new() })
+        Ok(Self { settings: Settings::decode(settings)?, now: None, history: None, decisions: Vec::new() })
     }
 
     /// The same, if all that its settings name exists in the testbed that it is to orchestrate.
@@ -91,21 +117,21 @@ impl Okpi {
     /// # Errors
     /// [`InvalidSettings`] for the first name that the testbed does not have.
     pub fn for_testbed(self, testbed: &Testbed) -> Result<Self, InvalidSettings> {
-        if self.settings.delays == Delays::History && self.client.is_none() {
-            let reason = "`history` is for an okpi that is a program of its own, and asks over the API; let the plug-in's \
-                          `command` name one, or leave `delays` out";
+        if self.settings.delays == Delays::History && self.history.is_none() {
+            let reason =
+                "`history` needs a history, which is not kept here; write `measured` for the same figures";
             return Err(InvalidSettings::new("delays", reason));
         }
         self.settings.check(testbed).map(|()| self)
     }
 
-    /// The same, asking over an API where its settings say so.
-    pub fn asking(self, client: Client) -> Self {
-        Self { client: Some(client), ..self }
+    /// The same, with a history to read where its settings say so.
+    pub fn reading(self, history: impl LinkHistory + 'static) -> Self {
+        Self { history: Some(Box::new(history)), ..self }
     }
 
     /// Decides for all services of a robot that is at a new location.
-    fn locate(&mut self, context: &RobotContext, actions: &mut Actions) {
+    fn locate(&mut self, at: Timestamp, context: &RobotContext, actions: &mut Actions) {
         let Some(now) = &mut self.now else { return };
         // It is decided from where a handover leads to, not from where it began.
         if now.hands_over(&context.robot) {
@@ -120,29 +146,42 @@ impl Okpi {
             if is_other || service.vnfs.is_empty() {
                 continue;
             }
-            let is_new = decision.at.is_none_or(|at| at.distance(location) >= NEW_LOCATION_M);
+            let is_near = |place: &Position| place.distance(location) < NEW_LOCATION_M;
+            let last = decision.at.filter(is_near);
             // Beyond its area a service promises nothing.
             let within = || service.kpis.area.as_ref().is_none_or(|area| location.is_within(area));
-            if is_new {
-                if let Some(client) = self.client.as_ref().filter(|_| self.settings.delays == Delays::History)
+            if last.is_none() || decision.is_due(at, &self.settings) {
+                decision.checked = at;
+                decision.in_question = false;
+                if let Some(history) =
+                    self.history.as_mut().filter(|_| self.settings.delays == Delays::History)
                 {
-                    match client.state(None) {
-                        Ok(state) => {
-                            for link in &state.links {
-                                now.learn_link(&link.value);
-                            }
-                        }
+                    match history.latest(at) {
+                        Ok(links) => links.iter().for_each(|(at, link)| _ = now.learn_link(*at, link)),
                         Err(error) => tracing::warn!("links are as they were: {error}"),
                     }
                 }
-                decision.at = Some(location);
-                if within() {
-                    decide(&self.settings, now, service, decision, chosen.as_ref(), context, actions);
+                let is_by_measurement = now.any_beyond() || decision.memory.is_held(at);
+                let was_by_measurement =
+                    std::mem::replace(&mut decision.is_by_measurement, is_by_measurement);
+                // Where a robot stays, only measurements change a decision.
+                let is_new = last.is_none() || is_by_measurement || was_by_measurement;
+                let location = *decision.at.insert(last.unwrap_or(location));
+                if is_new && within() {
+                    let place = Place { context, location };
+                    decide(&self.settings, now, service, decision, chosen.as_ref(), place, actions);
                 }
             }
             chosen = chosen.or_else(|| decision.attachment.clone());
         }
     }
+}
+
+/// A robot, and the location to decide for.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    context: &'a RobotContext,
+    location: Position,
 }
 
 fn decide(
@@ -151,12 +190,11 @@ fn decide(
     service: &Service,
     decision: &mut Decision,
     chosen: Option<&NodeId>,
-    context: &RobotContext,
+    Place { context, location }: Place<'_>,
     actions: &mut Actions,
 ) {
     let Some(NodeKind::Robot(robot)) = now.graph.node(&service.robot).map(|node| &node.kind) else { return };
     let roaming = robot.roaming;
-    let location = context.sensors.pose.position();
     let attached = context.attached_to();
     let present = decision.attachment.as_ref().or(attached);
     let units = match (roaming, chosen) {
@@ -165,7 +203,8 @@ fn decide(
         (Roaming::Signal | Roaming::Supplicant(_), _) => attached.into_iter().cloned().collect(),
     };
     let chain = now.service(service, &settings.processing);
-    let placed = match place(&chain, &now.infrastructure(service, &units), settings.search) {
+    let placed = match place(&chain, &now.infrastructure(service, &units, &decision.memory), settings.search)
+    {
         Ok(placed) => placed,
         Err(infeasible) => {
             if !std::mem::replace(&mut decision.warned, true) {
@@ -175,7 +214,8 @@ fn decide(
         }
     };
     decision.warned = false;
-    let reason = reason(service, &placed, location);
+    let left = now.leave(service, &placed.paths, &mut decision.memory, settings.measurements.hold);
+    let reason = reason(service, &placed, location, left);
     let paths = paths(service, &placed);
     for Placement { vnf, node } in placed.placement {
         if now.wants_place(&vnf, node.first()) {
@@ -215,7 +255,12 @@ fn paths(service: &Service, placed: &Placed) -> BTreeMap<(NodeId, NodeId), Vec<L
 }
 
 /// Describes a placement's reason for people.
-fn reason(service: &Service, placed: &Placed, location: Position) -> String {
+fn reason(
+    service: &Service,
+    placed: &Placed,
+    location: Position,
+    left: Option<(LinkId, Duration)>,
+) -> String {
     let attachment = placed.attachment.iter();
     let moved = placed.placement.iter().zip(&service.vnfs).filter(|(_, vnf)| vnf.pinned_to.is_none());
     let names: Vec<_> =
@@ -232,28 +277,46 @@ fn reason(service: &Service, placed: &Placed, location: Position) -> String {
         let spare = if slack < 0.0 { "too little" } else { "to spare" };
         reason += &format!("; reliability {:.6}, {:.1e} {spare}", placed.reliability, slack.abs());
     }
+    if let Some((link, beyond)) = left {
+        reason += &format!("; `{link}` is {:.1} ms slower than configured", beyond.as_secs_f64() * 1e3);
+    }
     reason
 }
 
 impl Plugin for Okpi {
     fn start(&mut self, _now: Timestamp, testbed: &Testbed, _actions: &mut Actions) {
         self.decisions = testbed.services.iter().map(|_| Decision::default()).collect();
-        self.now = Some(NetworkView::new(testbed));
+        let measurements = self.settings.measurements;
+        let measurements = (self.settings.delays != Delays::Asked).then_some(measurements);
+        self.now = Some(NetworkView::new(testbed, measurements));
     }
 
-    fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
+    fn handle(&mut self, at: Timestamp, event: &Event, actions: &mut Actions) {
         let Some(now) = &mut self.now else { return };
         if self.settings.delays == Delays::History && matches!(event, Event::Link(_)) {
             return;
         }
+        now.set_now(at);
         let concerned = now.learn(event);
-        for (service, decision) in now.services().iter().zip(&mut self.decisions) {
+        let services = now.services();
+        for (service, decision) in services.iter().zip(&mut self.decisions) {
             if concerned.includes(service) {
                 decision.at = None;
             }
+            decision.in_question |= concerned == Concerned::Measured || misses(service, event);
         }
         if let Event::Robot(context) = event {
-            self.locate(context, actions);
+            self.locate(at, context, actions);
         }
+    }
+}
+
+/// Whether an event is a sample of a service that misses its target.
+fn misses(service: &Service, event: &Event) -> bool {
+    match event {
+        Event::ServiceTime(sample) if sample.service == service.id => {
+            sample.took.is_none_or(|took| took > service.kpis.service_time)
+        }
+        _ => false,
     }
 }

@@ -9,20 +9,23 @@ use std::{
 };
 
 use cotorra_graph::{
-    Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Nodes,
-    Scale, Service, ServiceId, Testbed, VnfEvent, VnfId, VnfState,
+    Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Nodes, Service, ServiceId,
+    Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 
-use crate::model::{self, Infrastructure, Queue};
-
-/// Delay one way, and rate in bit/s.
-type Carriage = (Duration, f64);
+use crate::{
+    measured::{Beyond, Links, Memory, News},
+    model::{self, Infrastructure, Queue},
+    settings::Measurements,
+};
 
 /// Services whose decisions an event puts in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Concerned<'e> {
     Nobody,
     All,
+    /// All services, as far as measurements count.
+    Measured,
     /// All services but that of this VNF, which decided so itself.
     Others(&'e VnfId),
     /// The services of this robot.
@@ -32,7 +35,7 @@ pub(crate) enum Concerned<'e> {
 impl Concerned<'_> {
     pub(crate) fn includes(self, service: &Service) -> bool {
         match self {
-            Self::Nobody => false,
+            Self::Nobody | Self::Measured => false,
             Self::All => true,
             Self::Others(own) => !service.vnfs.iter().any(|vnf| vnf.id == *own),
             Self::Of(robot) => service.robot == *robot,
@@ -55,22 +58,17 @@ pub(crate) struct NetworkView {
     mappings: BTreeMap<(VnfId, VnfId), Vec<LinkId>>,
     /// The paths between nodes that were asked for, and for which service.
     paths: BTreeMap<(NodeId, NodeId), (ServiceId, Vec<LinkId>)>,
-    /// Delays and rates of the directions of links.
-    carriage: BTreeMap<(LinkId, Direction), Carriage>,
+    /// Figures of wired links.
+    links: Links,
+    now: Timestamp,
 }
 
 impl NetworkView {
-    pub(crate) fn new(testbed: &Testbed) -> Self {
-        let links = testbed.graph.links.iter();
-        let carriage = links.flat_map(|link| {
-            let ways = [(Direction::Forward, &link.forward), (Direction::Backward, &link.backward)];
-            ways.into_iter().zip(link.scales).map(|((direction, conditions), scale)| {
-                let medium = link.medium.bits_per_second() as f64;
-                ((link.id.clone(), direction), scaled(carriage(conditions), scale, medium))
-            })
-        });
+    /// Creates the view of a testbed as its file has it. With measurements, links count as they are measured, too.
+    pub(crate) fn new(testbed: &Testbed, measurements: Option<Measurements>) -> Self {
         Self {
-            carriage: carriage.collect(),
+            links: Links::new(&testbed.graph, measurements),
+            now: Timestamp::ZERO,
             placements: testbed.vnfs().map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
             moves: BTreeMap::new(),
             handovers: BTreeMap::new(),
@@ -81,16 +79,19 @@ impl NetworkView {
         }
     }
 
+    /// Sets the time.
+    pub(crate) fn set_now(&mut self, now: Timestamp) {
+        self.now = now;
+    }
+
     /// Learns from an event, and says whose decisions it puts in question.
     pub(crate) fn learn<'e>(&mut self, event: &'e Event) -> Concerned<'e> {
         match event {
-            Event::Link(context) => {
-                if self.learn_link(context) {
-                    Concerned::All
-                } else {
-                    Concerned::Nobody
-                }
-            }
+            Event::Link(context) => match self.learn_link(self.now, context) {
+                News::Configured => Concerned::All,
+                News::Measured => Concerned::Measured,
+                News::Nothing => Concerned::Nobody,
+            },
             Event::Placement(placement) => {
                 let before = self.placements.insert(placement.vnf.clone(), placement.node.clone());
                 if placement.node.only().is_some_and(|node| self.end_move(&placement.vnf, node)) {
@@ -149,12 +150,50 @@ impl NetworkView {
         }
     }
 
-    /// Learns what a link does; gives whether that is new.
-    pub(crate) fn learn_link(&mut self, context: &LinkContext) -> bool {
-        let now = carriage(&context.effective);
-        let wired = self.graph.link(&context.link).is_some();
-        let key = (context.link.clone(), context.direction);
-        wired && self.carriage.insert(key, now) != Some(now)
+    /// Learns the context of a link at a time.
+    pub(crate) fn learn_link(&mut self, at: Timestamp, context: &LinkContext) -> News {
+        self.links.learn(at, context)
+    }
+
+    /// Whether decisions differ from those by configured figures alone, as far as measurements of present count.
+    pub(crate) fn any_beyond(&mut self) -> bool {
+        self.links.forget(self.now);
+        self.links.any_beyond()
+    }
+
+    /// Notes the links that a service leaves for these paths, as they are now. Returns the slowest of those that are slower than
+    /// configured, and by how much.
+    pub(crate) fn leave(
+        &self,
+        service: &Service,
+        paths: &[Vec<LinkId>],
+        memory: &mut Memory,
+        hold: Duration,
+    ) -> Option<(LinkId, Duration)> {
+        let mut slowest = None;
+        for link in self.carriers(service).into_keys() {
+            let beyond = self.links.figures(link).beyond;
+            if beyond != Beyond::default() && !paths.iter().flatten().any(|kept| kept == link) {
+                memory.leave(self.now, link, beyond, hold);
+                slowest = slowest.max(Some((beyond.delay, link)));
+            }
+        }
+        slowest.filter(|(delay, _)| !delay.is_zero()).map(|(delay, link)| (link.clone(), delay))
+    }
+
+    /// Returns the links that carry a service, with the rate that it declares over each, bit/s. The decision counts a link once
+    /// for both directions.
+    fn carriers(&self, service: &Service) -> BTreeMap<&LinkId, f64> {
+        let mut carriers: BTreeMap<&LinkId, f64> = BTreeMap::new();
+        for link in &service.virtual_links {
+            let there = self.mappings.get(&(link.from.clone(), link.to.clone()));
+            let back = self.mappings.get(&(link.to.clone(), link.from.clone()));
+            let both: BTreeSet<_> = there.into_iter().chain(back).flatten().collect();
+            for carrier in both {
+                *carriers.entry(carrier).or_default() += link.rate.bits_per_second() as f64;
+            }
+        }
+        carriers
     }
 
     /// Whether a VNF was on its way to a node; it is not any more.
@@ -233,8 +272,13 @@ impl NetworkView {
     }
 
     /// Returns the infrastructure for a service: all that no other service takes, with these radio units in the robot's
-    /// reach.
-    pub(crate) fn infrastructure(&self, service: &Service, units: &[NodeId]) -> Infrastructure {
+    /// reach, and links that the service left no better than they were.
+    pub(crate) fn infrastructure(
+        &self,
+        service: &Service,
+        units: &[NodeId],
+        memory: &Memory,
+    ) -> Infrastructure {
         let place: BTreeMap<_, _> =
             self.graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
         let mut nodes: Vec<_> = self.graph.nodes.iter().map(node).collect();
@@ -249,16 +293,11 @@ impl NetworkView {
                     nodes[at].memory_bytes = nodes[at].memory_bytes.saturating_sub(vnf.memory_bytes);
                 }
             }
-            for link in &other.virtual_links {
-                let there = self.mappings.get(&(link.from.clone(), link.to.clone()));
-                let back = self.mappings.get(&(link.to.clone(), link.from.clone()));
-                // The decision counts a link once for both directions.
-                let carriers: BTreeSet<_> = there.into_iter().chain(back).flatten().collect();
-                for carrier in carriers {
-                    *taken.entry(carrier).or_default() += link.rate.bits_per_second() as f64;
-                }
+            for (carrier, rate) in self.carriers(other) {
+                *taken.entry(carrier).or_default() += rate;
             }
         }
+        let own = self.carriers(service);
         let wireless = self.graph.node(&service.robot).and_then(|node| match &node.kind {
             NodeKind::Robot(robot) => self.graph.wireless.get(&robot.network),
             _ => None,
@@ -280,16 +319,17 @@ impl NetworkView {
             })
         });
         let wired = self.graph.links.iter().map(|link| {
-            let [there, back] = [Direction::Forward, Direction::Backward].map(|direction| {
-                self.carriage.get(&(link.id.clone(), direction)).copied().unwrap_or_default()
-            });
-            let taken = taken.get(&link.id).copied().unwrap_or(0.0);
+            let figures = self.links.figures(&link.id);
+            let beyond = memory.with(self.now, &link.id, figures.beyond);
+            // What was metered includes what this service and others declare.
+            let metered = beyond.load_bps - own.get(&link.id).copied().unwrap_or(0.0);
+            let taken = taken.get(&link.id).copied().unwrap_or(0.0).max(metered);
             model::Link {
                 id: link.id.clone(),
                 ends: link.ends.each_ref().map(|end| place[end]),
-                round_trip: there.0 + back.0,
-                free_bps: there.1.min(back.1).min(link.medium.bits_per_second() as f64) - taken,
-                reliability: link.reliability,
+                round_trip: figures.configured + beyond.delay,
+                free_bps: figures.rate_bps.min(link.medium.bits_per_second() as f64) - taken,
+                reliability: link.reliability.min(beyond.delivery),
                 wireless: false,
             }
         });
@@ -344,27 +384,13 @@ fn node(node: &cotorra_graph::Node) -> model::Node {
     model::Node { id: node.id.clone(), cpus, memory_bytes, cost, reliability, forwards: node.forwards() }
 }
 
-/// Returns the delay and rate of a link that is scaled from the start, before its first event: delay ψ·d, throughput
-/// λ/δ.
-fn scaled((delay, rate_bps): Carriage, scale: Scale, medium_bps: f64) -> Carriage {
-    let seconds = delay.as_secs_f64() * scale.delay_scale;
-    let delay =
-        if scale.delay_scale == 1.0 { delay } else { Duration::try_from_secs_f64(seconds).unwrap_or(delay) };
-    let untouched = scale.drop_scale == 1.0;
-    (delay, if untouched { rate_bps } else { rate_bps.min(medium_bps) / scale.drop_scale })
-}
-
-fn carriage(conditions: &Conditions) -> Carriage {
-    (conditions.delay, conditions.rate.mean_bits_per_second())
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;
 
     use cotorra_graph::{
-        Attachment, Decision, Handover, LinkContext, PathKind, Placement, Pose, PoseSource, RobotContext,
-        VirtualLinkMapping,
+        Attachment, Conditions, Decision, Handover, LinkContext, PathKind, Placement, Pose, PoseSource,
+        RobotContext, VirtualLinkMapping,
     };
     use cotorra_graph_testing as base;
 
@@ -444,7 +470,7 @@ walks:
 
     #[test]
     fn only_changes_by_others_reopen_a_decision() {
-        let mut now = NetworkView::new(&testbed());
+        let mut now = NetworkView::new(&testbed(), None);
         assert!(concerned(&mut now, &placed("r-brain", "far")).is_empty(), "it was there before");
         assert_eq!(concerned(&mut now, &placed("r-brain", "near")), ["first", "second"], "another moved it");
         assert!(now.wants_place(&vnf_id("r-brain"), &node_id("far")));
@@ -472,7 +498,7 @@ walks:
     #[test]
     fn link_changes_reopen_all_decisions() {
         let testbed = testbed();
-        let mut now = NetworkView::new(&testbed);
+        let mut now = NetworkView::new(&testbed, None);
         let link = testbed.graph.links.last().unwrap();
         let event = |delay_ms| {
             let effective = Conditions { delay: Duration::from_millis(delay_ms), ..link.forward.clone() };
@@ -485,7 +511,7 @@ walks:
         };
         assert!(concerned(&mut now, &event(5)).is_empty());
         assert_eq!(concerned(&mut now, &event(7)), ["first", "second"]);
-        let seen = now.infrastructure(&testbed.services[0], &[]);
+        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
         assert_eq!(seen.links.last().unwrap().round_trip, Duration::from_millis(12));
     }
 
@@ -494,7 +520,8 @@ walks:
         let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
         let testbed = cotorra_testbed_file::parse("x.yaml", &text, Path::new(""))
             .unwrap_or_else(|wrong| panic!("{wrong}"));
-        let seen = NetworkView::new(&testbed).infrastructure(&testbed.services[0], &[]);
+        let seen =
+            NetworkView::new(&testbed, None).infrastructure(&testbed.services[0], &[], &Memory::default());
         let far = seen.links.last().unwrap();
         assert_eq!((far.round_trip, far.free_bps), (Duration::from_millis(20), 2.5e6));
     }
@@ -512,7 +539,7 @@ walks:
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "U"), lost, refused(attach("r", "U")), there] {
-            let mut now = NetworkView::new(&testbed());
+            let mut now = NetworkView::new(&testbed(), None);
             assert!(!now.wants_attachment(&robot, Some(&unit), &unit), "it is there");
             assert!(now.wants_attachment(&robot, Some(&other), &unit));
             assert!(!now.wants_attachment(&robot, Some(&other), &unit), "it is under way");
@@ -529,7 +556,7 @@ walks:
     #[test]
     fn placements_are_instructed_once_until_settled() {
         let (vnf, near, far) = (vnf_id("r-brain"), node_id("near"), node_id("far"));
-        let mut now = NetworkView::new(&testbed());
+        let mut now = NetworkView::new(&testbed(), None);
         assert!(!now.wants_place(&vnf, &far), "it is there");
         assert!(now.wants_place(&vnf, &near));
         assert!(!now.wants_place(&vnf, &near), "it is under way");
@@ -554,7 +581,7 @@ walks:
         let over = |server: &str| vec![LinkId::new("r~U").unwrap(), LinkId::new(server).unwrap()];
         let to = |server: &str| BTreeMap::from([(ends(server), over(server))]);
         let asked = |server: &str, links| vec![(node_id("r"), node_id(server), links)];
-        let mut now = NetworkView::new(&testbed);
+        let mut now = NetworkView::new(&testbed, None);
         assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")));
         assert_eq!(now.wants_paths(service, to("far")), [], "it was asked for");
         assert_eq!(now.wants_paths(other, BTreeMap::from([(ends("far"), over("near"))])), [], "it is taken");
@@ -570,9 +597,9 @@ walks:
     #[test]
     fn resources_of_other_services_are_not_offered() {
         let testbed = testbed();
-        let mut now = NetworkView::new(&testbed);
+        let mut now = NetworkView::new(&testbed, None);
         let free = |now: &NetworkView, node: &str| {
-            let seen = now.infrastructure(&testbed.services[0], &[]);
+            let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
             let node = seen.nodes.iter().find(|n| n.id == node).unwrap();
             (node.cpus, node.memory_bytes / 1_000_000_000)
         };
@@ -590,7 +617,7 @@ walks:
             path: PathKind::Mapped,
             others: Vec::new(),
         }));
-        let seen = now.infrastructure(&testbed.services[0], &[]);
+        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
         let free = |name: &str| seen.links.iter().find(|l| l.id == name).unwrap().free_bps;
         assert_eq!((free("lan-near"), free("lan-far")), (8e6, 10e6));
     }

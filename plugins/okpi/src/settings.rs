@@ -1,6 +1,6 @@
 //! Settings of the plug-in.
 
-use std::{collections::BTreeMap, num::NonZeroUsize};
+use std::{collections::BTreeMap, num::NonZeroUsize, time::Duration};
 
 use cotorra_graph::{NodeId, Position, ServiceId, Testbed, VnfId};
 use cotorra_plugin::settings::{self, Figure, InvalidSettings};
@@ -16,18 +16,52 @@ pub(crate) struct Settings {
     /// Queues of VNFs whose processing takes time.
     pub(crate) processing: BTreeMap<VnfId, Queue>,
     pub(crate) delays: Delays,
+    /// Use of measurements.
+    pub(crate) measurements: Measurements,
     /// Services that are orchestrated; `None` for all.
     pub(crate) services: Option<Vec<ServiceId>>,
 }
 
-/// Source of links' delays and throughputs.
+/// Source of links' delays, throughputs and losses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Delays {
+    /// The configuration.
+    Asked,
+    /// Links' contexts as they are published. The configuration is the least.
     #[default]
-    Events,
-    /// The history, which is asked for its state at each new location.
+    Measured,
+    /// The same contexts as the history has them, read at each decision.
     History,
+}
+
+/// Use of measurements.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Measurements {
+    /// Least delay beyond the configured one that counts, in one direction of a link.
+    #[serde(deserialize_with = "settings::duration")]
+    pub(crate) tolerance: Duration,
+    /// Time for which the highest measured delay counts. Loads and losses are those over it.
+    #[serde(deserialize_with = "window")]
+    pub(crate) window: Duration,
+    /// Longest time between two decisions while measurements differ from the configuration.
+    #[serde(deserialize_with = "every")]
+    pub(crate) every: Duration,
+    /// Time for which the figures of a link count that a service left. It doubles with each return.
+    #[serde(deserialize_with = "settings::duration")]
+    pub(crate) hold: Duration,
+}
+
+impl Default for Measurements {
+    fn default() -> Self {
+        Self {
+            tolerance: Duration::from_millis(1),
+            window: Duration::from_secs(10),
+            every: Duration::from_secs(5),
+            hold: Duration::from_secs(60),
+        }
+    }
 }
 
 /// Settings as a testbed file declares them.
@@ -48,6 +82,7 @@ struct Declared {
     coverage: Option<BTreeMap<NodeId, Area>>,
     processing: BTreeMap<VnfId, QueueSettings>,
     delays: Delays,
+    measurements: Option<Measurements>,
     services: Option<Vec<ServiceId>>,
 }
 
@@ -63,6 +98,7 @@ impl Default for Declared {
             coverage: None,
             processing: BTreeMap::new(),
             delays: Delays::default(),
+            measurements: None,
             services: None,
         }
     }
@@ -117,6 +153,10 @@ impl Settings {
                 Coverage::Signal { floor_dbm: floor.unwrap_or(-80.0), margin_db: margin.unwrap_or(7.5) }
             }
         };
+        if declared.delays == Delays::Asked && declared.measurements.is_some() {
+            let reason = "are not used with `delays: asked`; leave one of the two out";
+            return Err(InvalidSettings::new("measurements", reason));
+        }
         let queue =
             |(vnf, QueueSettings { service_rate, arrival_rate })| (vnf, Queue { service_rate, arrival_rate });
         Ok(Self {
@@ -124,6 +164,7 @@ impl Settings {
             coverage,
             processing: declared.processing.into_iter().map(queue).collect(),
             delays: declared.delays,
+            measurements: declared.measurements.unwrap_or_default(),
             services: declared.services,
         })
     }
@@ -171,6 +212,18 @@ fn check_names<'a>(
 /// Packets a second.
 const RATE: Figure =
     Figure { what: "a rate of 0 /s or more", example: "20 /s", units: &[("/s", 1.0)], range: 0.0..=f64::MAX };
+
+/// A time over which measurements are gathered.
+const WINDOW: Figure =
+    Figure { what: "a time from 1 s to 1 h", example: "10 s", range: 1.0..=3600.0, ..Figure::TIME };
+
+fn window<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
+    WINDOW.deserialize(deserializer).map(Duration::from_secs_f64)
+}
+
+fn every<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
+    Figure { example: "5 s", ..WINDOW }.deserialize(deserializer).map(Duration::from_secs_f64)
+}
 
 fn gamma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     count(deserializer, 1000)
@@ -227,6 +280,7 @@ mod tests {
         assert_eq!(settings.search, Search::at(4));
         assert_eq!(settings.coverage, Coverage::Signal { floor_dbm: -80.0, margin_db: 7.5 });
         assert!(settings.processing.is_empty());
+        assert_eq!((settings.delays, settings.measurements), (Delays::Measured, Measurements::default()));
     }
 
     #[test]
@@ -235,6 +289,7 @@ mod tests {
             "gamma": 10, "k_paths": 2, "relax": true, "hysteresis": "0.8 m",
             "coverage": { "R1": [[0, 0], [1.5, 0], [0, 2]] },
             "processing": { "navigation": { "service_rate": "500 /s", "arrival_rate": "20/s" } },
+            "measurements": { "tolerance": "2 ms", "window": "20 s", "every": "1 s", "hold": "2 min" },
         }))
         .unwrap();
         assert_eq!(settings.search, Search { k_paths: 2.try_into().unwrap(), relax: true, ..Search::at(10) });
@@ -243,6 +298,8 @@ mod tests {
         assert_eq!(settings.coverage, Coverage::Survey { areas, hysteresis_m: 0.8 });
         let queue = Queue { service_rate: 500.0, arrival_rate: 20.0 };
         assert_eq!(settings.processing, BTreeMap::from([(VnfId::new("navigation").unwrap(), queue)]));
+        let [tolerance, window, every, hold] = [2, 20_000, 1000, 120_000].map(Duration::from_millis);
+        assert_eq!(settings.measurements, Measurements { tolerance, window, every, hold });
         let signals = decode(json!({ "floor": "-70 dBm", "margin": "3dB" })).unwrap();
         assert_eq!(signals.coverage, Coverage::Signal { floor_dbm: -70.0, margin_db: 3.0 });
     }
@@ -259,7 +316,19 @@ mod tests {
             (json!({ "services": [7] }), "services[0]: invalid type: integer `7`, expected a string"),
             (
                 json!({ "delays": "guessed" }),
-                "delays: unknown variant `guessed`, expected `events` or `history`",
+                "delays: unknown variant `guessed`, expected one of `asked`, `measured`, `history`",
+            ),
+            (
+                json!({ "measurements": { "window": "10 ms" } }),
+                "measurements.window: \"10 ms\" is not a time from 1 s to 1 h; write it like `10 s`",
+            ),
+            (
+                json!({ "measurements": { "evry": "1 s" } }),
+                "measurements.evry: unknown field `evry`, expected one of `tolerance`, `window`, `every`, `hold`",
+            ),
+            (
+                json!({ "delays": "asked", "measurements": {} }),
+                "measurements: are not used with `delays: asked`",
             ),
             (
                 json!({ "floor": "-80" }),
@@ -287,7 +356,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_text_panics(text in "\\PC*") {
-            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing", "delays", "services"] {
+            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing", "delays", "measurements", "services"] {
                 let _ = decode(json!({ name: text }));
             }
         }

@@ -19,7 +19,7 @@ use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, wait_
 #[ignore = "is started by the test below"]
 fn okpi_as_a_program() {
     let client = client::Client::from_env().unwrap();
-    let okpi = Okpi::from_settings(&client::settings().unwrap()).unwrap().asking(client.clone());
+    let okpi = Okpi::from_settings(&client::settings().unwrap()).unwrap().reading(client.clone());
     let mut okpi = okpi.for_testbed(&client.testbed().unwrap()).unwrap();
     client.run(&mut okpi).unwrap();
 }
@@ -59,26 +59,24 @@ fn okpi_reads_its_delays_from_mariadb_and_decides_as_published() {
     let program = std::env::current_exe().unwrap();
     let name = "history_server::okpi_as_a_program";
     let command = format!("[{}, {name}, --exact, --ignored, --nocapture]", program.display());
-    let told = ["events", "history"].map(|delays| {
-        let folder = place.path().join(delays);
-        fs::create_dir(&folder).unwrap();
-        let id = if delays == "events" {
-            "  - bundled: okpi\n".to_owned()
-        } else {
-            format!("  - id: okpi\n    command: {command}\n")
-        };
+    let bundled = "  - bundled: okpi\n".to_owned();
+    let programmed = format!("  - id: okpi\n    command: {command}\n");
+    let told = [("asked", &bundled), ("history", &bundled), ("history", &programmed)].map(|(delays, id)| {
+        let folder = TempDir::new_in(place.path()).unwrap();
         let settings = format!("SETTINGS      delays: {delays}\n");
-        let testbed = corridor_with(&(id + &settings), &folder);
-        simulated(&testbed, &folder.join("runs"), &url)
+        let testbed = corridor_with(&(id.clone() + &settings), folder.path());
+        simulated(&testbed, &folder.path().join("runs"), &url)
     });
-    let [(of_events, decided), (of_history, decided_so)] = told;
+    let [(as_asked, decided), others @ ..] = told;
     assert!(decided.len() >= 6, "it decides along the corridor: {decided:?}");
-    assert_eq!(decided_so, decided, "what it reads from the history is what happened");
-    assert_eq!(of_history["valid"], of_events["valid"]);
-    assert_eq!(of_history["services"], of_events["services"]);
+    for (of_history, decided_so) in others {
+        assert_eq!(decided_so, decided, "what it reads from the history is what happened");
+        assert_eq!(of_history["valid"], as_asked["valid"]);
+        assert_eq!(of_history["services"], as_asked["services"]);
+    }
     let mut command = cotorra(["history", "runs"]);
     let listed = command.env("COTORRA_HISTORY", &url).output().unwrap();
-    assert_eq!(stdout(&listed).matches("in virtual time").count(), 2, "{}", stdout(&listed));
+    assert_eq!(stdout(&listed).matches("in virtual time").count(), 3, "{}", stdout(&listed));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 pub(crate) mod bound;
 pub(crate) mod keeping;
+pub(crate) mod links;
 pub(crate) mod previous_run;
 pub(crate) mod pruner;
 pub(crate) mod recorded;

@@ -12,17 +12,25 @@ use cotorra_testbed_file::LEDGER_PATHS;
 use serde_json::{Map, Value};
 
 use super::{error::PluginError, programs::check_programs};
+use crate::history::links::RunHistory;
 
 /// Makes the bundled plug-ins of a testbed.
 pub(crate) struct Bundled<'a> {
     testbed: &'a Testbed,
     seed: u64,
     ledgers: Ledgers,
+    /// The run's history, if one is kept.
+    history: Option<RunHistory>,
 }
 
 impl<'a> Bundled<'a> {
     pub(crate) fn new(testbed: &'a Testbed, seed: u64, ledgers: Ledgers) -> Self {
-        Self { testbed, seed, ledgers }
+        Self { testbed, seed, ledgers, history: None }
+    }
+
+    /// The same, with the history of the run.
+    pub(crate) fn reading(self, history: Option<RunHistory>) -> Self {
+        Self { history, ..self }
     }
 
     /// Returns the ledgers that the plug-ins share. They have to live as long as the plug-ins.
@@ -42,9 +50,12 @@ impl<'a> Bundled<'a> {
                 Ok(Box::new(orchestrator.map_err(|e| settings(&e))?))
             }
             "okpi" => {
-                let okpi =
-                    Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(self.testbed));
-                Ok(Box::new(okpi.map_err(|e| settings(&e))?))
+                let okpi = Okpi::from_settings(&spec.settings).map_err(|e| settings(&e))?;
+                let okpi = match &self.history {
+                    Some(history) => okpi.reading(history.clone()),
+                    None => okpi,
+                };
+                Ok(Box::new(okpi.for_testbed(self.testbed).map_err(|e| settings(&e))?))
             }
             "pace" => Ok(Box::new(Pace::from_settings(&spec.settings).map_err(|e| settings(&e))?)),
             "probing" => {
@@ -72,10 +83,20 @@ fn from_folder(settings: &Map<String, Value>, folder: &Path) -> Map<String, Valu
     settings
 }
 
+/// Whether a bundled plug-in reads the run's history.
+pub(crate) fn reads_history(testbed: &Testbed) -> bool {
+    let reads = |spec: &PluginSpec| {
+        matches!(&spec.program, PluginProgram::Bundled(name) if name == "okpi")
+            && spec.settings.get("delays").is_some_and(|delays| delays == "history")
+    };
+    testbed.plugins.iter().any(reads)
+}
+
 /// Checks that a run could make the plug-ins. Real ledgers, which only a run uses, are not contacted.
 pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
     check_programs(testbed)?;
-    let mut maker = Bundled::new(testbed, testbed.seed, Ledgers::default());
+    let mut maker =
+        Bundled::new(testbed, testbed.seed, Ledgers::default()).reading(Some(RunHistory::default()));
     for spec in &testbed.plugins {
         let PluginProgram::Bundled(name) = &spec.program else { continue };
         if name == "federation" && has_real_ledger(spec) {

@@ -14,7 +14,7 @@ mod process;
 mod programs;
 pub(crate) mod running;
 
-pub(crate) use bundled::{Bundled, rehearse};
+pub(crate) use bundled::{Bundled, reads_history, rehearse};
 pub use error::PluginError;
 pub use panic::panic_text;
 pub(crate) use programs::{check_programs, programs};

@@ -31,7 +31,7 @@ use crate::{
     core::message::Message,
     domain::{self, DomainView, Domains},
     given::Given,
-    history::previous_run::PreviousRun,
+    history::{links::RunHistory, previous_run::PreviousRun},
 };
 
 /// Longest duration of a call. A longer one counts as hung.
@@ -45,20 +45,27 @@ const IDLE: u64 = u64::MAX;
 pub(crate) struct PreparedPlugins {
     bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
     ledgers: Ledgers,
+    history: RunHistory,
 }
 
 impl PreparedPlugins {
     /// Makes the bundled plug-ins, and checks that the programs of the others exist.
     pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
         check_programs(testbed)?;
-        let mut maker = Bundled::new(testbed, seed, Ledgers::default());
+        let history = RunHistory::default();
+        let mut maker = Bundled::new(testbed, seed, Ledgers::default()).reading(Some(history.clone()));
         let mut bundled = BTreeMap::new();
         for spec in &testbed.plugins {
             if let PluginProgram::Bundled(name) = &spec.program {
                 bundled.insert(spec.id.clone(), maker.make(spec, name)?);
             }
         }
-        Ok(Self { bundled, ledgers: maker.into_ledgers() })
+        Ok(Self { bundled, ledgers: maker.into_ledgers(), history })
+    }
+
+    /// Returns the history that they read, which has to begin before they start.
+    pub(crate) fn history(&self) -> &RunHistory {
+        &self.history
     }
 
     /// Gives bundled plug-ins the notes that they took in the previous run.

@@ -25,6 +25,7 @@ use crate::{
     given::Given,
     history::{
         keeping::Keeper,
+        links::RunHistory,
         run_info::{about, epoch},
     },
     plugins::{
@@ -147,12 +148,12 @@ impl Audience {
     }
 
     /// Makes the plug-ins of a testbed.
-    fn invite(&mut self, testbed: &Arc<Testbed>, seed: u64) -> Result<(), ReplayError> {
+    fn invite(&mut self, testbed: &Arc<Testbed>, seed: u64, history: RunHistory) -> Result<(), ReplayError> {
         if let Some(program) = programs(testbed).next() {
             return Err(ReplayError::Program(program.clone()));
         }
         let domains = Domains::new(testbed);
-        let mut bundled = Bundled::new(testbed, seed, Ledgers::in_virtual_time());
+        let mut bundled = Bundled::new(testbed, seed, Ledgers::in_virtual_time()).reading(Some(history));
         for spec in &testbed.plugins {
             if let PluginProgram::Bundled(name) = &spec.program {
                 let (plugin, view) = (bundled.make(spec, name)?, domains.of_plugin(&spec.id).cloned());
@@ -225,7 +226,9 @@ impl Replay {
         let info = history.run(run)?.info;
         let mut audience = Audience::new(&testbed, options.from);
         if options.to_plugins {
-            audience.invite(&testbed, info.seed)?;
+            let read = RunHistory::default();
+            read.begin(&history, run, || Ok(()));
+            audience.invite(&testbed, info.seed, read)?;
         }
         let watched = Recording::begin(&wanted, Path::new(""), &testbed, about(&info), Pace::Live)?;
         let tap = watched.as_ref().map(Recording::tap);

@@ -44,7 +44,7 @@ use crate::{
     domain::Domains,
     error::RunError,
     given::Given,
-    history::previous_run::PreviousRun,
+    history::{links::RunHistory, previous_run::PreviousRun},
     plugins::{
         Bundled, PluginError,
         host::{Fault, PluginHost},
@@ -122,12 +122,16 @@ impl Simulation {
         if let Some(program) = programs(&testbed).next() {
             return Err(PluginError::NeedsRun(program.clone()).into());
         }
-        Self::without_programs(testbed, seed)
+        Self::without_programs(testbed, seed, None)
     }
 
-    /// Creates a simulation without the plug-ins that are programs.
-    fn without_programs(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
-        Self::on(testbed, seed, Ledgers::in_virtual_time(), None)
+    /// Creates a simulation without the plug-ins that are programs. The others read this history.
+    fn without_programs(
+        testbed: Arc<Testbed>,
+        seed: u64,
+        history: Option<RunHistory>,
+    ) -> Result<Self, RunError> {
+        Self::on(testbed, seed, Ledgers::in_virtual_time(), history, None)
     }
 
     /// Creates a simulation on ledgers that may know previous runs, with the notes of one of these.
@@ -135,6 +139,7 @@ impl Simulation {
         testbed: Arc<Testbed>,
         seed: u64,
         ledgers: Ledgers,
+        history: Option<RunHistory>,
         earlier: Option<&PreviousRun>,
     ) -> Result<Self, RunError> {
         if let Some((gateway, _)) = testbed.graph.gateways().next() {
@@ -171,7 +176,7 @@ impl Simulation {
             simulated,
         )?;
         let domains = Domains::new(&testbed);
-        let mut bundled = Bundled::new(&testbed, seed, ledgers);
+        let mut bundled = Bundled::new(&testbed, seed, ledgers).reading(history);
         let mut locals = Locals::default();
         for spec in &testbed.plugins {
             let PluginProgram::Bundled(name) = &spec.program else { continue };

@@ -22,7 +22,9 @@ use crate::{
     finished::Finished,
     folder::{manifest::Time, whole},
     given::Given,
-    history::{bound::HistoryBound, keeping::Keeping, recorded::Recorded, run_info::about},
+    history::{
+        bound::HistoryBound, keeping::Keeping, links::RunHistory, recorded::Recorded, run_info::about,
+    },
     options::Options,
     plugins::{
         self,
@@ -121,7 +123,8 @@ pub(super) fn simulate_with(
     }
     plugins::check_programs(&testbed)?;
     let testbed = emulated(testbed);
-    let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
+    let read = RunHistory::default();
+    let simulation = Simulation::without_programs(Arc::clone(&testbed), seed, Some(read.clone()))?;
     let simulation = simulation.altered(altered).with_patience(patience);
     let wiretap = simulation.network.wiretap();
     let captures = CaptureFile::begin_all(&options.captures, &wiretap)?;
@@ -141,6 +144,9 @@ pub(super) fn simulate_with(
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
+    let records = recorder.clone();
+    read.begin(&history, run, move || records.flush());
+    let reads_history = plugins::reads_history(&testbed);
     let history_bound = HistoryBound::new(options, &folder);
     let report = Report::new(&testbed, seed).in_virtual_time(&testbed).on_disk(folder.path())?;
     let records = recorder.clone();
@@ -227,11 +233,11 @@ pub(super) fn simulate_with(
                 Waited::Stopped => break End::Stopped,
             }
         }
-        // Programs receive events after each moment with events. The history is written after the same steps each time.
+        // Programs receive events after each moment with events, and the history has what plug-ins read. The history is written after the same steps each time.
         let stretch = match HISTORY_PACE.saturating_sub(recorded.unwritten) {
             0 => Stretch::Step,
             _ if recorded.time.is_limited() => Stretch::Step,
-            _ if external.is_some() => Stretch::Events(1, until),
+            _ if external.is_some() || reads_history => Stretch::Events(1, until),
             room => Stretch::Events(room, until),
         };
         if !recorded.advance(stretch) {

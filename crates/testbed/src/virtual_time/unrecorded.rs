@@ -15,7 +15,7 @@ use crate::{
     options::Options,
     plugins::{
         lockstep::{Guarded, PATIENCE},
-        programs,
+        programs, reads_history,
     },
     report::{End, Losses, Place, Report, Summary},
 };
@@ -57,7 +57,7 @@ pub fn simulate_unrecorded(
     observe: impl FnMut(&Stamped),
     go_on: impl FnMut() -> bool,
 ) -> Result<Option<UnrecordedRun>, RunError> {
-    if programs(&testbed).next().is_some() {
+    if programs(&testbed).next().is_some() || reads_history(&testbed) {
         in_folder(testbed, run, observe, go_on)
     } else {
         in_memory(testbed, run, observe, go_on)
@@ -102,7 +102,7 @@ fn in_memory(
     }
 }
 
-/// Runs a testbed whose plug-ins are programs. They need the API, which needs a history and logs.
+/// Runs a testbed whose plug-ins are programs or read the history. Programs need the API, which needs a history and logs.
 fn in_folder(
     testbed: Arc<Testbed>,
     run: &Unrecorded<'_>,

@@ -97,6 +97,8 @@ impl Prepared {
         let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
+        // Events are durable within 100 ms, which is the time between two contexts.
+        plugins.history().begin(&history, run, || Ok(()));
         let prepared = Self {
             recorder,
             history,

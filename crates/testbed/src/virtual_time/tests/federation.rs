@@ -319,7 +319,7 @@ fn a_restarted_core_continues_from_the_chain() {
         // The robot stays where it was; everything else starts as in the file.
         let walk = format!("walks.robot.waypoints=[[{at}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
-        let mut after = Simulation::on(testbed, 1, ledgers, None).unwrap();
+        let mut after = Simulation::on(testbed, 1, ledgers, None, None).unwrap();
         let outcome = Outcome::of(&mut after, 200.0);
         let detail = outcome.detail();
         assert!(
@@ -374,7 +374,7 @@ fn a_restarted_core_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
 
         let walk = format!("walks.robot.waypoints=[[{x}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
-        let mut after = Simulation::on(testbed, 1, ledgers, Some(&earlier)).unwrap();
+        let mut after = Simulation::on(testbed, 1, ledgers, None, Some(&earlier)).unwrap();
         let (new, _) = notes(&mut after, 200.0);
         assert!(after.is_finished(), "stopped at {stopped_at}");
 

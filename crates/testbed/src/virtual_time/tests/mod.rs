@@ -1,6 +1,7 @@
 mod added;
 mod altered;
 mod camera;
+mod congestion;
 mod container;
 mod corruption;
 mod federation;

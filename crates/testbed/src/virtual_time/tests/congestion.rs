@@ -1,0 +1,142 @@
+//! OKpi where a camera fills the links to the cloud.
+
+use super::*;
+
+/// A robot whose camera sends images to the cloud. They fill the link there.
+const ROOM: &str = "
+name: room
+wireless: { lab: { shadowing: { deviation: 0 dB } } }
+nodes:
+  robot:
+    kind: robot
+    roaming: instructed
+    sensors: { front: { kind: camera, width: 160, height: 120, rate: 50 Hz, to: detector } }
+  unit: { kind: radio_unit, position: [5, 3], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB, cost: 2 }
+  cloud: { kind: server, tier: cloud, cpus: 8, memory: 16 GB, cost: 1 }
+links:
+  - { ends: [unit, edge], delay: 2 ms, rate: 100 Mbit/s }
+  - { ends: [unit, cloud], delay: 4.5 ms, rate: 7.5 Mbit/s, queue: 30 packets }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      robot-driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: cloud, cpus: 2 }
+    virtual_links: [{ from: robot-driver, to: navigation, rate: 0.5 Mbit/s }]
+  vision:
+    robot: robot
+    kpis: { service_time: 1 s }
+    vnfs:
+      camera-driver: { program: robot_driver, pinned_to: robot, cpus: 0 }
+      detector: { command: [sleep, '1000'], node: cloud }
+walks:
+  robot: { waypoints: [[1, 0], [10, 0]], and_back: true, position_interval: 50 ms }
+plugins:
+  - bundled: okpi
+    settings: { services: [navigation], delays: DELAYS }
+";
+
+/// The decisions of a minute, with their times, and the service times of navigation by time of emission.
+#[derive(Debug, PartialEq)]
+struct Minute {
+    moves: Vec<(f64, String, String)>,
+    samples: Vec<(f64, Option<f64>)>,
+}
+
+fn minute(delays: &str) -> Minute {
+    let text = ROOM.replace("DELAYS", delays);
+    let testbed = cotorra_testbed_file::parse("room.yaml", &text, Path::new("")).unwrap();
+    let (mut moves, mut samples) = (Vec::new(), Vec::new());
+    for Stamped { at, event } in events_of(&Arc::new(testbed), 1, 60.0) {
+        match event {
+            Event::Decision(decision) => {
+                assert_eq!(decision.refused, None);
+                if let Instruction::Place { node, .. } = decision.instruction {
+                    moves.push((at.as_secs_f64(), node.first().to_string(), decision.reason.unwrap()));
+                }
+            }
+            Event::ServiceTime(sample) if is_of_navigation(&sample) => {
+                let took = sample.took.map(|took| took.as_secs_f64() * 1e3);
+                samples.push((sample.emitted.as_secs_f64(), took));
+            }
+            _ => {}
+        }
+    }
+    Minute { moves, samples }
+}
+
+/// Returns the share of samples from a time on that keep 15 ms.
+fn kept(samples: &[(f64, Option<f64>)], from: f64) -> f64 {
+    let of: Vec<_> = samples.iter().filter(|(at, _)| *at >= from).collect();
+    assert!(of.len() > 400, "{}", of.len());
+    of.iter().filter(|(_, took)| took.is_some_and(|took| took <= 15.0)).count() as f64 / of.len() as f64
+}
+
+#[test]
+fn okpi_leaves_links_that_a_camera_fills_and_does_not_come_back() {
+    let Minute { moves, samples } = minute("measured");
+    let [(at, node, reason)] = &moves[..] else { panic!("{moves:#?}") };
+    assert_eq!(node, "edge");
+    assert!(*at < 10.0, "{at}");
+    assert!(reason.contains("slower than configured"), "{reason}");
+    let share = kept(&samples, at + 1.0);
+    assert!(share > 0.95, "{share}, after {at} s: {reason}");
+    println!("after {at} s, {share} keep 15 ms: {reason}");
+}
+
+#[test]
+fn okpi_stays_on_full_links_if_it_counts_with_the_configuration() {
+    let Minute { moves, samples } = minute("asked");
+    assert_eq!(moves, []);
+    let share = kept(&samples, 2.0);
+    assert!(share < 0.01, "{share}");
+    println!("{share} keep 15 ms");
+}
+
+#[test]
+fn okpi_decides_as_configured_where_links_do_as_configured() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let text = std::fs::read_to_string(&file).unwrap().replace("  - probing\n", "");
+    let of = |delays: &str| {
+        let text = text.replace(
+            "    enabled: false\n    settings:\n",
+            &format!("    settings:\n      delays: {delays}\n"),
+        );
+        assert!(text.contains(delays));
+        let testbed = cotorra_testbed_file::parse("corridor.yaml", &text, file.parent().unwrap()).unwrap();
+        events_of(&Arc::new(testbed), 1, 70.0)
+    };
+    let (measured, asked) = (of("measured"), of("asked"));
+    let decided = |events: &[Stamped]| {
+        events.iter().filter(|stamped| matches!(stamped.event, Event::Decision(_))).count()
+    };
+    assert!(decided(&asked) > 4, "{}", decided(&asked));
+    assert!(measured == asked, "{} and {} decisions", decided(&measured), decided(&asked));
+}
+
+#[test]
+fn okpi_reads_measurements_from_the_history_of_its_own_run() {
+    let text = ROOM.replace("DELAYS", "history");
+    let testbed = cotorra_testbed_file::parse("room.yaml", &text, Path::new("")).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let options = Options {
+        until: Some(Duration::from_secs(12)),
+        folder: Place::In(out.path().to_owned()),
+        ..Options::default()
+    };
+    let run = simulate(testbed.clone(), &text, &options, |_| true).unwrap();
+    let history = cotorra_measurements::History::open(run.folder.join("history.sqlite")).unwrap();
+    let places =
+        history.all_events(run.run, &[]).unwrap().into_iter().filter_map(|stamped| match stamped.event {
+            Event::Decision(Decision {
+                instruction: Instruction::Place { node, .. }, refused: None, ..
+            }) => Some(node.first().to_string()),
+            _ => None,
+        });
+    assert_eq!(places.collect::<Vec<_>>(), ["edge"]);
+    // Without a folder there is no history to read.
+    let error = Simulation::new(Arc::new(testbed), 1).err().unwrap().to_string();
+    assert!(error.contains("`history` needs a history"), "{error}");
+}
