@@ -225,8 +225,11 @@ class _Fdus:
         return self._step(instanceid, "stop")
 
     def migrate(self, instanceid: str, destination_node_uuid: str, wait: bool = True) -> str:
-        """Moves an instance: a new one starts on the other node, then the old one stops."""
-        return self._step(instanceid, f"migrate/{_name(destination_node_uuid)}")
+        """Moves an instance: a new one starts on the other node, then the old one stops. It waits until the new one serves."""
+        self._step(instanceid, f"migrate/{_name(destination_node_uuid)}")
+        if wait:
+            self._wait(instanceid, str(destination_node_uuid))
+        return instanceid
 
     def instantiate(self, fduid: str, nodeid: Optional[str] = None, wait: bool = True) -> InfraFDU:
         """Defines, configures and starts an instance."""
@@ -270,11 +273,15 @@ class _Fdus:
     def _step(self, instance: str, step: str, body: str = "") -> str:
         return self._rest.ask("POST", f"fdu/instances/{_name(instance)}/{step}", body)
 
-    def _wait(self, instance: str) -> None:
+    def _wait(self, instance: str, node: Optional[str] = None) -> None:
+        """Waits until an instance serves, on this node if one is named."""
         deadline = time.monotonic() + _PATIENCE_S
-        while (record := self.instance_info(instance)).get_status() != "RUN":
+        while True:
+            record = self.instance_info(instance)
             if record.get_status() == "ERROR":
                 raise ValueError(f"instance {instance} does not start: {record.get_error_msg()}")
+            if record.get_status() == "RUN" and node in (None, record.get_hypervisor_info()["node"]):
+                return
             if time.monotonic() > deadline:
                 raise ValueError(f"instance {instance} did not start within {_PATIENCE_S:.0f} s")
             time.sleep(_POLL_S)

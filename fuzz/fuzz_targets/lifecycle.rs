@@ -2,7 +2,7 @@
 //! whose record is a descriptor of the same.
 #![no_main]
 
-use cotorra_graph::{NodeId, Timestamp};
+use cotorra_graph::{Instruction, NodeId, Timestamp};
 use cotorra_lifecycle::{
     Applications, Descriptor, NetworkDescriptor, Seen, Subscription,
     mec::{self, CreateRequest, OperationRequest},
@@ -43,10 +43,10 @@ fuzz_target!(|bytes: &[u8]| {
     let fdu = all.onboard(None, descriptor).expect("the catalog is empty");
     let id = all.define(None, &fdu, Some(node), [None, None]).expect("it is on board").id.clone();
     all.configure(None, &id, now).expect("it is defined");
-    let vnf = all.begin_start(None, &id, "").expect("it is configured");
+    let Ok(Instruction::AddVnf { vnf }) = all.begin_start(None, &id, "") else { panic!("it is configured") };
     assert!(vnf.cpus > 0.0 && vnf.env.is_empty());
     all.end_start(&id, Some((vnf.id.clone(), 0)), now);
-    all.observe(&vnf.id, Seen::Serves, now);
+    all.observe(&vnf.id, None, &Seen::Serves, now);
     // A subscription has one notification under way.
     assert!(all.subscriptions().poll(now).len() <= 1);
 });

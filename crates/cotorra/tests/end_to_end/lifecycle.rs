@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::{
-    harness::{Run, project_file, wait_until},
+    harness::{Run, cotorra, events, project_file, stderr, wait_until},
     one_robot::{NAVIGATED, testbed},
 };
 
@@ -140,9 +140,83 @@ fn a_script_of_fog05_deploys_an_fdu_after_changing_one_import() {
     assert!(refused.contains("`hypervisor` is `KVM`: only BARE and DOCKER"), "{refused}");
     let missing = script.after("missing");
     assert_eq!(missing, "fdu.pause of fog05 is not here: a VNF cannot be paused: stop it");
-    assert_eq!(script.after("left"), "[]");
+    assert_eq!(script.after("left"), "['navigation', 'robot-driver']", "the testbed file's VNFs stay");
     script.end();
     wait_until(|| with_word(&run, "4322") == 0);
+}
+
+/// Three servers, one of them too small for navigation, and a robot that moves between them by its VNF alone.
+const SERVERS: &str = "
+name: placed
+wireless: { w: {} }
+nodes:
+  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
+  lan: { kind: switch }
+  cloud: { kind: server, tier: cloud, cpus: 4, memory: 8 GB }
+  fog: { kind: server, tier: fog, cpus: 4, memory: 8 GB }
+  edge: { kind: server, tier: edge, cpus: 1, memory: 8 GB }
+  tb: { kind: robot }
+links:
+  - { ends: [R1, lan] }
+  - { ends: [lan, cloud], delay: 9 ms }
+  - { ends: [lan, fog], delay: 1 ms }
+  - { ends: [lan, edge], delay: 4 ms }
+services:
+  navigation:
+    robot: tb
+    kpis: { service_time: 50 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: tb }
+      navigation: { program: navigation, node: cloud, cpus: 4, memory: 1 GB }
+walks:
+  tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
+";
+
+#[test]
+fn one_placement_is_behind_the_interfaces_of_fog05_mec_and_plugins() {
+    let folder = TempDir::new().unwrap();
+    let script = project_file("crates/cotorra/tests/end_to_end/one_placement.py");
+    let simulated = |interface: &str| {
+        let file = folder.path().join(format!("{interface}.yaml"));
+        let command = format!("[python3, {}, {interface}]", script.display());
+        fs::write(&file, format!("{SERVERS}plugins:\n  - {{ id: mover, command: {command} }}\n")).unwrap();
+        let out = folder.path().join(interface);
+        let mut command = cotorra(["run", "--simulate", "--headless", "--until", "8s", "--out"]);
+        command.arg(&out).arg(&file).env("PYTHONPATH", project_file("clients/python"));
+        let done = command.env("PYTHONDONTWRITEBYTECODE", "1").output().unwrap();
+        assert!(done.status.success(), "{interface}: {}", stderr(&done));
+        let run = fs::read_dir(&out).unwrap().next().unwrap().unwrap().path();
+        let log = fs::read_to_string(run.join("logs/plugins/mover.log")).unwrap();
+        assert!(log.contains("step 3"), "{interface}: {log}");
+        let mut events = events(&run, "decision,placement,vnf,virtual_link,service_time");
+        // The interface is the reason of a decision, and changes nothing else.
+        events.iter_mut().filter_map(Value::as_object_mut).for_each(|event| _ = event.remove("reason"));
+        events
+    };
+    for (interface, by_hand, rejected) in [("fog05", "moved", 3), ("mec", "copied", 2)] {
+        let [events, expected] = [interface, by_hand].map(simulated);
+        let refused = events.iter().filter(|event| event["refused"].is_string()).count();
+        let servers = |server: &str| events.iter().any(|event| event["server"] == server);
+        assert!(refused == rejected && servers("cloud") && servers("fog"), "{interface}: {refused}");
+        assert!(events == expected, "{interface} and {by_hand} differ");
+    }
+}
+
+#[test]
+fn a_script_of_fog05_moves_the_navigation_of_a_robot() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("placed.yaml");
+    fs::write(&file, SERVERS).unwrap();
+    let run = Run::start_beside(&file, &["--until", "5min"]);
+    run.wait_for_service();
+    let mut events = run.follow();
+    let mut answers_from =
+        |server: &str| events.any(|event| event["server"] == server && event["service_time_ms"].is_number());
+    assert!(answers_from("cloud"));
+    let mut script = Script::start(&run, "fog05_move.py", [Path::new("navigation"), Path::new("fog")]);
+    assert_eq!(script.after("status"), "RUN ['fog']");
+    script.end();
+    assert!(answers_from("fog"));
 }
 
 #[test]
@@ -269,7 +343,7 @@ fn a_script_of_fog05_connects_two_fdus_by_a_network_after_changing_one_import() 
     assert!(!log(server).contains("you are"));
     let refused = script.after("refused");
     assert!(refused.starts_with(&format!("the network `{network}` has the instance ")), "{refused}");
-    assert_eq!(script.after("left"), "[] []");
+    assert_eq!(script.after("left"), "[] ['navigation', 'robot-driver']");
     assert_eq!(
         script.after("missing"),
         "network.add_router of fog05 is not here: docs/use/lifecycle.md has what is"

@@ -15,7 +15,7 @@ pub enum Stage {
     Defined,
     /// It can be started.
     Configured,
-    /// Its VNF was added, and this is the last that was seen of it.
+    /// Its VNF was added or placed, and this is the last that was seen of it.
     Started(VnfId, Seen),
 }
 
@@ -65,6 +65,18 @@ pub struct Application {
     pub(crate) output: Option<Output>,
     /// Whether an operation is under way.
     pub(crate) is_busy: bool,
+    /// Whether it was found running, and nobody defined it: an instance of a service's VNF.
+    pub(crate) is_found: bool,
+}
+
+impl Application {
+    /// Returns its VNF, if it is started.
+    pub(crate) fn vnf(&self) -> Option<&VnfId> {
+        match &self.stage {
+            Stage::Started(vnf, _) => Some(vnf),
+            Stage::Defined | Stage::Configured => None,
+        }
+    }
 }
 
 pub(crate) fn sees(viewer: Option<&DomainId>, owner: Option<&DomainId>) -> bool {

@@ -1,9 +1,9 @@
-//! The catalog of descriptors and the instances of applications, as a state machine. It says which VNF to add, move or
-//! remove, and gets the outcome.
+//! The catalog of descriptors and the instances of applications, as a state machine. It says which instruction adds, places or
+//! removes a VNF, and gets the outcome.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use cotorra_graph::{DomainId, NodeId, Timestamp, Vnf, VnfId};
+use cotorra_graph::{DomainId, Instruction, NodeId, Nodes, Timestamp, VnfId};
 use cotorra_mec::Epoch;
 
 use crate::{
@@ -24,8 +24,10 @@ const MOST_OCCURRENCES: usize = 1024;
 
 #[derive(Debug)]
 pub(crate) struct Known {
-    owner: Option<DomainId>,
+    pub(crate) owner: Option<DomainId>,
     pub(crate) descriptor: Descriptor,
+    /// The VNF of a service that it describes; `None` for an application, each of whose instances is a VNF that is added.
+    pub(crate) of_service: Option<VnfId>,
 }
 
 /// The catalog and the instances. A viewer is a domain, or `None` for the operator, who sees everything. Domains see their own.
@@ -34,11 +36,15 @@ pub struct Applications {
     pub(crate) catalog: BTreeMap<String, Known>,
     pub(crate) networks: BTreeMap<String, Network>,
     pub(crate) instances: BTreeMap<String, Application>,
+    /// The last nodes that the VNFs of instances were placed on.
+    pub(crate) wanted: BTreeMap<VnfId, Nodes>,
     occurrences: BTreeMap<u64, (Option<DomainId>, Occurrence)>,
     subscriptions: Subscriptions,
     epoch: Epoch,
     /// Number of identifiers made so far.
     made: u64,
+    /// Number of instances of services' VNFs found so far.
+    pub(crate) found: u64,
 }
 
 impl Applications {
@@ -62,10 +68,8 @@ impl Applications {
         viewer: Option<&DomainId>,
         descriptor: Descriptor,
     ) -> Result<String, LifecycleError> {
-        let (own, most) = (
-            self.catalog.values().filter(|known| known.owner.as_ref() == viewer).count(),
-            share(viewer, MOST_DESCRIPTORS),
-        );
+        let is_own = |known: &&Known| known.owner.as_ref() == viewer && known.of_service.is_none();
+        let (own, most) = (self.catalog.values().filter(is_own).count(), share(viewer, MOST_DESCRIPTORS));
         if own >= most {
             return conflict(format!("the catalog has {most} of your descriptors already: remove one"));
         }
@@ -76,8 +80,15 @@ impl Applications {
             Some(id) => id.clone(),
             None => self.make_id(),
         };
-        self.catalog.insert(id.clone(), Known { owner: viewer.cloned(), descriptor });
+        let known = Known { owner: viewer.cloned(), descriptor, of_service: None };
+        self.catalog.insert(id.clone(), known);
         Ok(id)
+    }
+
+    /// Adds the descriptor of a service's VNF to the catalog. It stays there.
+    pub(crate) fn add_known(&mut self, owner: Option<DomainId>, descriptor: Descriptor, vnf: &VnfId) {
+        let known = Known { owner, descriptor, of_service: Some(vnf.clone()) };
+        self.catalog.insert(vnf.to_string(), known);
     }
 
     /// Returns the catalog: identifiers and descriptors.
@@ -108,6 +119,9 @@ impl Applications {
     /// [`LifecycleError`].
     pub fn offload(&mut self, viewer: Option<&DomainId>, name: &str) -> Result<String, LifecycleError> {
         let id = self.descriptor(viewer, name)?.0.to_owned();
+        if self.catalog[&id].of_service.is_some() {
+            return conflict(format!("the descriptor `{id}` is of a VNF of the testbed file, and stays"));
+        }
         if let Some(instance) = self.instances.values().find(|instance| instance.descriptor == id) {
             return conflict(format!(
                 "the descriptor `{id}` has the instance `{}`: remove that first",
@@ -134,13 +148,7 @@ impl Applications {
             self.network(viewer, network)?;
         }
         let descriptor = descriptor.to_owned();
-        let (own, most) = (
-            self.instances.values().filter(|one| one.owner.as_ref() == viewer).count(),
-            share(viewer, MOST_INSTANCES),
-        );
-        if own >= most {
-            return conflict(format!("there are {most} of your instances already: remove one"));
-        }
+        self.check_room(viewer)?;
         let (id, owner) = (self.make_id(), viewer.cloned());
         let stage = Stage::Defined;
         let instance = Application {
@@ -153,8 +161,19 @@ impl Applications {
             owner,
             output: None,
             is_busy: false,
+            is_found: false,
         };
         Ok(self.instances.entry(id).or_insert(instance))
+    }
+
+    /// Rejects a further instance if an owner has as many as they may have. Those that were found are not theirs.
+    fn check_room(&self, owner: Option<&DomainId>) -> Result<(), LifecycleError> {
+        let own = self.instances.values().filter(|one| one.owner.as_ref() == owner && !one.is_found).count();
+        let most = share(owner, MOST_INSTANCES);
+        if own >= most {
+            return conflict(format!("there are {most} of your instances already: remove one"));
+        }
+        Ok(())
     }
 
     /// Returns the instances.
@@ -235,8 +254,8 @@ impl Applications {
         Ok(())
     }
 
-    /// Begins to start a configured instance, with variables `NAME=VALUE,…`. Returns the VNF to add. Call
-    /// [`Self::end_start`] with the outcome.
+    /// Begins to start a configured instance, with variables `NAME=VALUE,…`. Returns the instruction to give: add a VNF, or
+    /// place a service's VNF on this node, too. Call [`Self::end_start`] with the outcome.
     ///
     /// # Errors
     /// [`LifecycleError`].
@@ -245,7 +264,7 @@ impl Applications {
         viewer: Option<&DomainId>,
         id: &str,
         env: &str,
-    ) -> Result<Vnf, LifecycleError> {
+    ) -> Result<Instruction, LifecycleError> {
         let env = variables(env)
             .map_err(|part| LifecycleError::Invalid(format!("{part} is no variable: write NAME=VALUE,…")))?;
         let instance = self.idle(viewer, id)?;
@@ -257,18 +276,31 @@ impl Applications {
         let node = instance.node.clone();
         let node =
             node.ok_or_else(|| LifecycleError::Conflict(format!("the instance `{id}` has no node")))?;
-        instance.is_busy = true;
         let known = &self.catalog[&self.instances[id].descriptor];
-        self.made += 1;
-        Ok(known.descriptor.vnf(known.descriptor.vnf_name(self.made), node, env))
+        let instruction = match &known.of_service {
+            Some(_) if !env.is_empty() => {
+                let reason = "a VNF of the testbed file has its variables there: start it without any";
+                return Err(LifecycleError::Invalid(reason.to_owned()));
+            }
+            Some(vnf) => self.place_also(vnf, node)?,
+            None => {
+                self.made += 1;
+                let vnf = known.descriptor.vnf(known.descriptor.vnf_name(self.made), node, env);
+                Instruction::AddVnf { vnf: Box::new(vnf) }
+            }
+        };
+        self.idle(viewer, id)?.is_busy = true;
+        Ok(instruction)
     }
 
-    /// Ends a start, with the VNF if it was added, whose log had so many bytes before.
-    pub fn end_start(&mut self, id: &str, added: Option<(VnfId, u64)>, now: Timestamp) {
+    /// Ends a start, with the VNF if it was added or placed, whose log had so many bytes before.
+    pub fn end_start(&mut self, id: &str, started: Option<(VnfId, u64)>, now: Timestamp) {
+        let is_of_service = self.is_of_service(id);
         self.change(id, now, |instance| {
             instance.is_busy = false;
-            if let Some((vnf, from)) = added {
-                instance.output = Some(Output { vnf: vnf.clone(), from, to: None });
+            if let Some((vnf, from)) = started {
+                // All instances of a service's VNF go on with the logs that they have.
+                instance.output = (!is_of_service).then(|| Output { vnf: vnf.clone(), from, to: None });
                 instance.stage = Stage::Started(vnf, Seen::Starting);
             }
         });
@@ -281,36 +313,48 @@ impl Applications {
     pub fn output(&self, viewer: Option<&DomainId>, id: &str) -> Result<&Output, LifecycleError> {
         let output = &self.instance(viewer, id)?.output;
         output.as_ref().ok_or_else(|| {
-            let reason = "has no output: it was not started, or others removed its VNF";
+            let reason = match self.is_of_service(id) {
+                true => "is of a VNF of the testbed file, whose output is in the run's folder",
+                false => "has no output: it was not started, or others removed its VNF",
+            };
             LifecycleError::Conflict(format!("the instance `{id}` {reason}"))
         })
     }
 
-    /// Returns the VNFs of started instances.
-    pub fn vnfs(&self) -> impl Iterator<Item = &VnfId> {
-        self.instances.values().filter_map(|instance| match &instance.stage {
-            Stage::Started(vnf, _) => Some(vnf),
-            Stage::Defined | Stage::Configured => None,
-        })
+    /// Whether an instance is of a service's VNF.
+    fn is_of_service(&self, id: &str) -> bool {
+        let descriptor = self.instances.get(id).map(|instance| &instance.descriptor);
+        descriptor.is_some_and(|descriptor| self.catalog[descriptor].of_service.is_some())
     }
 
-    /// Records what is seen of a VNF. Does nothing if it is of no started instance.
-    pub fn observe(&mut self, vnf: &VnfId, seen: Seen, now: Timestamp) {
-        let is_of = |instance: &&Application| matches!(&instance.stage, Stage::Started(own, _) if own == vnf);
-        let Some(id) = self.instances.values().find(is_of).map(|instance| instance.id.clone()) else {
-            return;
-        };
-        self.change(&id, now, |instance| {
-            if seen == Seen::Gone && !instance.is_busy {
-                // Others removed it. Its name is free, and with it the log.
-                instance.output = None;
-            }
-            instance.stage = Stage::Started(vnf.clone(), seen);
-        });
+    /// Returns the VNFs of started instances and of services.
+    pub fn vnfs(&self) -> BTreeSet<&VnfId> {
+        let started = self.instances.values().filter_map(Application::vnf);
+        started.chain(self.catalog.values().filter_map(|known| known.of_service.as_ref())).collect()
+    }
+
+    /// Returns the started instances of a VNF.
+    pub(crate) fn started(&self, vnf: &VnfId) -> impl Iterator<Item = &Application> {
+        self.instances.values().filter(move |instance| instance.vnf() == Some(vnf))
+    }
+
+    /// Records what is seen of a VNF, on one node or on all. Does nothing if no started instance is there.
+    pub fn observe(&mut self, vnf: &VnfId, on: Option<&NodeId>, seen: &Seen, now: Timestamp) {
+        let is_there = |instance: &&Application| on.is_none() || instance.node.as_ref() == on;
+        let ids: Vec<_> = self.started(vnf).filter(is_there).map(|instance| instance.id.clone()).collect();
+        for id in ids {
+            self.change(&id, now, |instance| {
+                if *seen == Seen::Gone && !instance.is_busy {
+                    // Others removed it. Its name is free, and with it the log.
+                    instance.output = None;
+                }
+                instance.stage = Stage::Started(vnf.clone(), seen.clone());
+            });
+        }
     }
 
     /// Changes an instance, and notifies those who subscribed to changes of its state.
-    fn change(&mut self, id: &str, now: Timestamp, change: impl FnOnce(&mut Application)) {
+    pub(crate) fn change(&mut self, id: &str, now: Timestamp, change: impl FnOnce(&mut Application)) {
         let Some(instance) = self.instances.get_mut(id) else { return };
         let before = State::of(instance);
         change(instance);
@@ -325,15 +369,27 @@ impl Applications {
         &mut self.subscriptions
     }
 
-    /// Begins to stop a started instance. Returns the VNF to remove. Call [`Self::end_stop`] with the outcome.
+    /// Begins to stop a started instance. Returns the instruction to give: place its VNF on the nodes of its other instances,
+    /// or remove it with the last one. There is none if others removed it already. Call [`Self::end_stop`] with the outcome.
     ///
     /// # Errors
     /// [`LifecycleError`].
-    pub fn begin_stop(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
-        self.take_vnf(viewer, id)
+    pub fn begin_stop(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+    ) -> Result<Option<Instruction>, LifecycleError> {
+        let (vnf, seen) = self.running(viewer, id)?;
+        if self.instances[id].is_found {
+            // It is the owner's from now on.
+            self.check_room(self.instances[id].owner.as_ref())?;
+        }
+        let instruction = (seen != Seen::Gone).then(|| self.place_elsewhere(&vnf, id, None)).transpose()?;
+        self.idle(viewer, id)?.is_busy = true;
+        Ok(instruction)
     }
 
-    /// Ends a stop. If the VNF was removed, its log has so many bytes now.
+    /// Ends a stop. If it was done, the VNF's log has so many bytes now.
     pub fn end_stop(&mut self, id: &str, removed: Option<u64>, now: Timestamp) {
         self.change(id, now, |instance| {
             instance.is_busy = false;
@@ -341,33 +397,41 @@ impl Applications {
                 if let Some(output) = &mut instance.output {
                     output.to = Some(to);
                 }
-                instance.stage = Stage::Configured;
+                (instance.stage, instance.is_found) = (Stage::Configured, false);
             }
         });
     }
 
-    /// Begins to move a started instance. Returns the VNF to place. Call [`Self::end_move`] with the outcome.
+    /// Begins to move a started instance. Returns the instruction to give: place its VNF on that node in place of the
+    /// instance's. Call [`Self::end_move`] afterwards. The instance has the node as soon as it serves there.
     ///
     /// # Errors
     /// [`LifecycleError`].
-    pub fn begin_move(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
-        self.take_vnf(viewer, id)
+    pub fn begin_move(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+        to: NodeId,
+    ) -> Result<Instruction, LifecycleError> {
+        let (vnf, _) = self.running(viewer, id)?;
+        let instruction = self.place_elsewhere(&vnf, id, Some(to))?;
+        self.idle(viewer, id)?.is_busy = true;
+        Ok(instruction)
     }
 
-    /// Ends a move, with the new node if it was accepted.
-    pub fn end_move(&mut self, id: &str, to: Option<NodeId>) {
-        let Some(instance) = self.instances.get_mut(id) else { return };
-        instance.is_busy = false;
-        instance.node = to.or(instance.node.take());
+    /// Ends a move, whatever its outcome.
+    pub fn end_move(&mut self, id: &str) {
+        if let Some(instance) = self.instances.get_mut(id) {
+            instance.is_busy = false;
+        }
     }
 
-    fn take_vnf(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
-        let instance = self.idle(viewer, id)?;
-        let Stage::Started(vnf, _) = &instance.stage else {
-            return conflict(format!("the instance `{id}` does not run"));
-        };
-        instance.is_busy = true;
-        Ok(vnf.clone())
+    /// Returns the VNF of a started instance without an operation under way.
+    fn running(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(VnfId, Seen), LifecycleError> {
+        match &self.idle(viewer, id)?.stage {
+            Stage::Started(vnf, seen) => Ok((vnf.clone(), seen.clone())),
+            Stage::Defined | Stage::Configured => conflict(format!("the instance `{id}` does not run")),
+        }
     }
 
     /// Gives a defined instance its node, and configures it, in the one step of MEC.

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Image, NodeId, Program, Rights, Vnf, VnfId};
+use cotorra_graph::{Image, NodeId, Program, Rights, Service, Vnf, VnfId};
 use serde::Deserialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 /// Longest descriptor, bytes.
 pub const LONGEST_DESCRIPTOR: usize = 64 * 1024;
@@ -325,6 +325,42 @@ impl Descriptor {
             cpus: cpu_min_count,
             memory_bytes: (ram_size_mb * 1e6).round() as u64,
         })
+    }
+
+    /// Describes a service's VNF. The catalog has it under the VNF's name. A bundled program has no command.
+    pub(crate) fn of_service(service: &Service, vnf: &Vnf) -> Self {
+        let name = vnf.id.to_string();
+        let (words, what) = match &vnf.program {
+            Program::RobotDriver => (&[][..], "the robot's driver"),
+            Program::Navigation => (&[][..], "the bundled navigation"),
+            Program::Localization => (&[][..], "the bundled localization"),
+            Program::Command(words) | Program::Host(words) => (&words[..], "a VNF"),
+        };
+        let mut keys = json!({
+            "id": name, "name": name, "uuid": name,
+            "description": format!("{what} of the service {}", service.id),
+            "computation_requirements": { "cpu_min_count": vnf.cpus, "ram_size_mb": vnf.memory_bytes as f64 / 1e6 },
+            "hypervisor": if vnf.image.is_some() { "DOCKER" } else { "BARE" }, "migration_kind": "COLD",
+            "storage": [], "interfaces": [], "io_ports": [], "connection_points": [], "depends_on": [],
+        });
+        if let [binary, args @ ..] = words {
+            keys["command"] = json!({ "binary": binary, "args": args });
+        }
+        if let Some(image) = &vnf.image {
+            keys["image"] = json!({ "uri": image.reference });
+        }
+        let Value::Object(keys) = keys else { unreachable!("it is an object") };
+        Self {
+            id: name.clone(),
+            uuid: Some(name.clone()),
+            name,
+            network: None,
+            keys,
+            words: words.to_vec(),
+            image: vnf.image.as_ref().map(|image| image.reference.clone()),
+            cpus: vnf.cpus,
+            memory_bytes: vnf.memory_bytes,
+        }
     }
 
     /// Returns the VNF of an instance.

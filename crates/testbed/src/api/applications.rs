@@ -1,5 +1,6 @@
 //! Life cycle of applications over two published interfaces: `/fog05`, the REST routes of Eclipse fog05 v0.2, and
-//! `/app_lcm/v1`, ETSI GS MEC 010-2. Both add, move and remove VNFs by instructions, under the caller's name and rights.
+//! `/app_lcm/v1`, ETSI GS MEC 010-2. Both add, place and remove VNFs by instructions, under the caller's name and rights, and
+//! place the VNFs of services in the same way.
 
 mod fog05;
 mod mec;
@@ -21,7 +22,7 @@ use axum::{
 };
 use cotorra_engine::replica_name;
 use cotorra_graph::{
-    Decision, DomainId, Event, Instruction, Node, NodeId, Nodes, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
+    Decision, DomainId, Event, Instruction, Node, NodeId, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_lifecycle::{Applications, LifecycleError, Output, Recipient, Seen, fog05::is_node};
 use cotorra_mec::{Allowed, CallbackError, Dispatch, Notifier, Outcome, QueryError, Task, deliver};
@@ -38,19 +39,33 @@ use super::{
 };
 pub(super) use mec::openapi;
 
-use crate::events::{live::Snapshot, stream::Received};
+use crate::events::stream::Received;
 
 /// Returns the paths of both interfaces, and the tasks that follow the testbed and send notifications.
 pub(super) fn serve(context: &Context, gate: Gate) -> (Router, [Task; 2]) {
     let served = Served {
         context: context.clone(),
-        all: Arc::new(Mutex::new(Applications::new(context.wais.epoch))),
+        all: Arc::new(Mutex::new(applications(context))),
         wake: Arc::default(),
         callbacks: Arc::new([true, false].map(|of_operator| context.callbacks(of_operator))),
     };
     let tasks = [deliver(served.clone()), follow(served.clone())];
     let router = fog05::router(served.clone(), gate.clone()).merge(mec::router(served, gate));
     (router, tasks)
+}
+
+/// Returns the applications at a run's begin: the VNFs of its services.
+fn applications(context: &Context) -> Applications {
+    let mut all = Applications::new(context.wais.epoch);
+    let graph = &context.testbed.graph;
+    for service in &context.testbed.services {
+        // As instructions see it, a service is of its robot's domain.
+        let robot = graph.node(&service.robot).filter(|_| graph.domains.len() > 1);
+        for vnf in &service.vnfs {
+            all.add_service_vnf(robot.map(|robot| robot.domain.clone()), service, vnf);
+        }
+    }
+    all
 }
 
 /// The most bytes of an instance's output that are read at once, from its end.
@@ -136,9 +151,20 @@ impl Served {
     /// Locks the applications, after a look at their VNFs. What changes is then notified.
     fn all(&self) -> MutexGuard<'_, Applications> {
         let (now, mut all) = (self.context.now(), self.all.lock());
-        let vnfs: Vec<_> = all.vnfs().cloned().collect();
+        let vnfs: Vec<_> = all.vnfs().into_iter().cloned().collect();
         self.context.live.read(|snapshot| {
-            vnfs.iter().for_each(|vnf| all.observe(vnf, seen(snapshot, vnf), now));
+            for vnf in &vnfs {
+                let of_file = || self.context.testbed.vnfs().find(|one| one.id == *vnf);
+                let Some(known) = snapshot.added.get(vnf).or_else(of_file) else {
+                    all.observe(vnf, None, &Seen::Gone, now);
+                    continue;
+                };
+                let placed = snapshot.placements.get(vnf).map_or(&[][..], |placement| placement.node.all());
+                all.observe_nodes(vnf, placed, snapshot.wanted.get(vnf).unwrap_or(&known.node), now);
+                if let Some((on, seen)) = snapshot.vnfs.get(vnf).and_then(seen_after) {
+                    all.observe(vnf, Some(on), &seen, now);
+                }
+            }
         });
         self.wake.notify_one();
         all
@@ -155,10 +181,12 @@ impl Served {
         self.context.testbed.graph.nodes.iter().filter(seen)
     }
 
-    /// Returns a server that a caller sees.
+    /// Returns a node that runs VNFs and that a caller sees: a server, a radio unit or a robot.
     fn node(&self, asked: &Asked, name: &str) -> Result<&Node, Rejected> {
         let missing = || LifecycleError::Unknown("node that runs VNFs,", name.to_owned()).into();
-        self.nodes(asked).find(|node| node.id == *name).ok_or_else(missing)
+        let seen = |node: &&Node| asked.caller.keeps(|view| view.owns(&node.id)) && node.capacity().is_some();
+        let mut nodes = self.context.testbed.graph.nodes.iter();
+        nodes.find(|node| node.id == *name).filter(seen).ok_or_else(missing)
     }
 
     /// Returns the CPUs and bytes that VNFs take of each node.
@@ -182,13 +210,17 @@ impl Served {
         Ok(give(&self.context, &asked.caller, &asked.headers, body).await.map(|_| ())?)
     }
 
-    /// Starts an instance, and waits until its VNF was added or rejected.
+    /// Starts an instance, and waits until its VNF was added, placed or rejected.
     async fn start(&self, asked: &Asked, id: &str, env: &str, reason: &str) -> Result<(), Rejected> {
-        let vnf: Vnf = self.all().begin_start(asked.viewer(), id, env)?;
-        let name = vnf.id.clone();
-        let written = self.log_length(&name);
-        let done = self.give(asked, Instruction::AddVnf { vnf: Box::new(vnf) }, reason).await;
-        self.all().end_start(id, done.is_ok().then_some((name, written)), self.context.now());
+        let instruction = self.all().begin_start(asked.viewer(), id, env)?;
+        let vnf = match &instruction {
+            Instruction::AddVnf { vnf } => Some(vnf.id.clone()),
+            Instruction::Place { vnf, .. } => Some(vnf.clone()),
+            _ => None,
+        };
+        let started = vnf.map(|vnf| (vnf.clone(), self.log_length(&vnf)));
+        let done = self.give(asked, instruction, reason).await;
+        self.all().end_start(id, started.filter(|_| done.is_ok()), self.context.now());
         // It may serve already.
         drop(self.all());
         done
@@ -196,14 +228,16 @@ impl Served {
 
     /// Stops an instance.
     async fn stop(&self, asked: &Asked, id: &str, reason: &str) -> Result<(), Rejected> {
-        let vnf = self.all().begin_stop(asked.viewer(), id)?;
+        let instruction = self.all().begin_stop(asked.viewer(), id)?;
         // Once it is removed, a VNF of another may get its name and write there.
-        let written = self.log_length(&vnf);
-        // Others may have removed its VNF already.
-        let is_gone = self.context.live.read(|now| seen(now, &vnf)) == Seen::Gone;
-        let done = match is_gone {
-            true => Ok(()),
-            false => self.give(asked, Instruction::RemoveVnf { vnf: vnf.clone() }, reason).await,
+        let written = match &instruction {
+            Some(Instruction::RemoveVnf { vnf }) => self.log_length(vnf),
+            _ => 0,
+        };
+        let done = match instruction {
+            Some(instruction) => self.give(asked, instruction, reason).await,
+            // Others have removed its VNF already.
+            None => Ok(()),
         };
         self.all().end_stop(id, done.is_ok().then_some(written), self.context.now());
         done
@@ -244,9 +278,9 @@ impl Served {
 
     /// Moves an instance to a node.
     async fn migrate(&self, asked: &Asked, id: &str, to: NodeId, reason: &str) -> Result<(), Rejected> {
-        let vnf = self.all().begin_move(asked.viewer(), id)?;
-        let done = self.give(asked, Instruction::Place { vnf, node: Nodes::from(to.clone()) }, reason).await;
-        self.all().end_move(id, done.is_ok().then_some(to));
+        let instruction = self.all().begin_move(asked.viewer(), id, to)?;
+        let done = self.give(asked, instruction, reason).await;
+        self.all().end_move(id);
         done
     }
 }
@@ -274,22 +308,17 @@ async fn to_the_end<T: Send + 'static>(
     tokio::spawn(task).await.map_err(ended)?
 }
 
-/// Returns what is seen of an added VNF.
-fn seen(now: &Snapshot, vnf: &VnfId) -> Seen {
-    if !now.added.contains_key(vnf) {
-        return Seen::Gone;
-    }
-    now.vnfs.get(vnf).map_or(Seen::Starting, seen_after)
-}
-
-/// Returns what is seen of a VNF after its last event.
-fn seen_after(last: &VnfEvent) -> Seen {
-    match last.state {
-        // An instance that stops was moved, and serves elsewhere.
-        VnfState::Started | VnfState::Stopped => Seen::Serves,
+/// Returns the node of an instance and what is seen of it after an event of its VNF; `None` if the event says nothing of an
+/// instance that goes on.
+fn seen_after(last: &VnfEvent) -> Option<(&NodeId, Seen)> {
+    let seen = match last.state {
+        VnfState::Started => Seen::Serves,
         VnfState::Died => Seen::Restarts,
         VnfState::Failed => Seen::Failed(last.detail.clone().unwrap_or_default()),
-    }
+        // It was moved, and serves elsewhere, or it was removed.
+        VnfState::Stopped => return None,
+    };
+    Some((&last.node, seen))
 }
 
 /// Returns the task that follows the testbed's events: each state of a VNF is seen, however short it is.
@@ -297,16 +326,8 @@ fn follow(served: Served) -> Task {
     let mut events = served.context.events.subscribe();
     Box::pin(async move {
         loop {
-            let (vnf, seen) = match events.next().await {
-                Some(Received::Event(stamped)) => match &stamped.event {
-                    Event::Vnf(event) => (event.vnf.clone(), seen_after(event)),
-                    Event::Decision(Decision {
-                        instruction: Instruction::RemoveVnf { vnf },
-                        refused: None,
-                        ..
-                    }) => (vnf.clone(), Seen::Gone),
-                    _ => continue,
-                },
+            let event = match events.next().await {
+                Some(Received::Event(stamped)) => stamped,
                 Some(Received::Missed(_)) => {
                     drop(served.all());
                     continue;
@@ -314,7 +335,21 @@ fn follow(served: Served) -> Task {
                 // The run has ended.
                 None => std::future::pending().await,
             };
-            served.all.lock().observe(&vnf, seen, served.context.now());
+            let now = || served.context.now();
+            match &event.event {
+                Event::Vnf(event) => {
+                    let Some((on, seen)) = seen_after(event) else { continue };
+                    served.all.lock().observe(&event.vnf, Some(on), &seen, now());
+                }
+                Event::Decision(Decision {
+                    instruction: Instruction::RemoveVnf { vnf },
+                    refused: None,
+                    ..
+                }) => served.all.lock().observe(vnf, None, &Seen::Gone, now()),
+                // Instances go with their nodes.
+                Event::Placement(_) => drop(served.all()),
+                _ => continue,
+            }
             served.wake.notify_one();
         }
     })

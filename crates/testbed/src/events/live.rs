@@ -31,6 +31,9 @@ pub struct Snapshot {
     pub links_at: BTreeMap<(LinkId, Direction), Timestamp>,
     /// a(n).
     pub placements: BTreeMap<VnfId, Placement>,
+    /// The nodes of the last accepted `place` of every VNF that was placed. a(n) follows once the new instances serve.
+    #[serde(skip)]
+    pub wanted: BTreeMap<VnfId, Nodes>,
     /// a(n1,n2).
     pub virtual_links: Vec<VirtualLinkMapping>,
     /// The last event of every VNF's process.
@@ -134,8 +137,12 @@ impl Live {
                 Instruction::AddVnf { vnf } => {
                     now.added.insert(vnf.id.clone(), *vnf);
                 }
+                Instruction::Place { vnf, node } => {
+                    now.wanted.insert(vnf, node);
+                }
                 Instruction::RemoveVnf { vnf } => {
                     now.added.remove(&vnf);
+                    now.wanted.remove(&vnf);
                     now.placements.remove(&vnf);
                     now.vnfs.remove(&vnf);
                 }

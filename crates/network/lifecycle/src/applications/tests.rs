@@ -29,6 +29,12 @@ fn defined() -> (Applications, String) {
     (all, id)
 }
 
+/// Returns the VNF that an instruction adds.
+fn added(instruction: Instruction) -> cotorra_graph::Vnf {
+    let Instruction::AddVnf { vnf } = instruction else { panic!("{instruction:?}") };
+    *vnf
+}
+
 fn status(all: &Applications, id: &str) -> &'static str {
     fog05::status(all.instance(None, id).unwrap())
 }
@@ -39,7 +45,7 @@ fn an_instance_goes_through_all_stages_and_back() {
     assert_eq!(status(&all, &id), "DEFINE");
     all.configure(None, &id, NOW).unwrap();
     assert_eq!(status(&all, &id), "CONFIGURE");
-    let vnf = all.begin_start(None, &id, "A=1").unwrap();
+    let vnf = added(all.begin_start(None, &id, "A=1").unwrap());
     assert_eq!((vnf.node.only(), vnf.env.as_slice()), (Some(&node("edge")), &["A=1".to_owned()][..]));
     all.end_start(&id, Some((vnf.id.clone(), 0)), NOW);
     assert_eq!(status(&all, &id), "CONFIGURE");
@@ -50,15 +56,19 @@ fn an_instance_goes_through_all_stages_and_back() {
         (Seen::Gone, "ERROR"),
         (Seen::Serves, "RUN"),
     ] {
-        all.observe(&vnf.id, seen, NOW);
+        all.observe(&vnf.id, None, &seen, NOW);
         assert_eq!(status(&all, &id), expected);
     }
-    assert_eq!(all.begin_move(None, &id).unwrap(), vnf.id);
-    all.end_move(&id, Some(node("fog")));
-    assert_eq!(all.begin_stop(None, &id).unwrap(), vnf.id);
+    let fog = Nodes::from(node("fog"));
+    let place = Instruction::Place { vnf: vnf.id.clone(), node: fog.clone() };
+    assert_eq!(all.begin_move(None, &id, node("fog")).unwrap(), place);
+    all.end_move(&id);
+    all.observe_nodes(&vnf.id, fog.all(), &fog, NOW);
+    let remove = Instruction::RemoveVnf { vnf: vnf.id.clone() };
+    assert_eq!(all.begin_stop(None, &id).unwrap(), Some(remove));
     all.end_stop(&id, Some(0), NOW);
     // The next start has another name, because the last VNF still drains.
-    let again = all.begin_start(None, &id, "").unwrap();
+    let again = added(all.begin_start(None, &id, "").unwrap());
     assert_ne!(again.id, vnf.id);
     assert_eq!(again.node.only(), Some(&node("fog")));
     all.end_start(&id, None, NOW);
@@ -81,21 +91,21 @@ fn the_output_is_that_of_the_last_start() {
     let none = |all: &Applications| all.output(None, &id).unwrap_err().to_string();
     all.configure(None, &id, NOW).unwrap();
     assert!(none(&all).contains("has no output"), "{}", none(&all));
-    let vnf = all.begin_start(None, &id, "").unwrap().id;
+    let vnf = added(all.begin_start(None, &id, "").unwrap()).id;
     all.end_start(&id, Some((vnf.clone(), 7)), NOW);
     assert_eq!(all.output(None, &id), Ok(&Output { vnf: vnf.clone(), from: 7, to: None }));
     // The testbed has removed it before the stop ends.
     all.begin_stop(None, &id).unwrap();
-    all.observe(&vnf, Seen::Gone, NOW);
+    all.observe(&vnf, None, &Seen::Gone, NOW);
     all.end_stop(&id, Some(20), NOW);
     assert_eq!(all.output(None, &id), Ok(&Output { vnf, from: 7, to: Some(20) }));
     assert!(all.output(Some(&"one".parse().unwrap()), &id).is_err(), "it is the operator's");
     all.clean(None, &id, NOW).unwrap();
     assert!(none(&all).contains("has no output"));
     all.configure(None, &id, NOW).unwrap();
-    let vnf = all.begin_start(None, &id, "").unwrap().id;
+    let vnf = added(all.begin_start(None, &id, "").unwrap()).id;
     all.end_start(&id, Some((vnf.clone(), 0)), NOW);
-    all.observe(&vnf, Seen::Gone, NOW);
+    all.observe(&vnf, None, &Seen::Gone, NOW);
     assert!(none(&all).contains("others removed its VNF"), "{}", none(&all));
 }
 
@@ -209,11 +219,11 @@ fn created() -> (Applications, String) {
 impl Applications {
     /// Carries out what was begun, as a testbed that accepts it or not.
     fn carry_out(&mut self, id: &str, begun: mec::Begun, accepts: bool, now: Timestamp) -> Option<VnfId> {
-        let mut added = None;
+        let mut vnf = None;
         let is_done = match begun.task {
-            mec::Task::Start => self.begin_start(None, id, "").is_ok_and(|vnf| {
-                added = accepts.then_some(vnf.id);
-                self.end_start(id, added.clone().map(|vnf| (vnf, 0)), now);
+            mec::Task::Start => self.begin_start(None, id, "").is_ok_and(|instruction| {
+                vnf = accepts.then_some(added(instruction).id);
+                self.end_start(id, vnf.clone().map(|vnf| (vnf, 0)), now);
                 accepts
             }),
             mec::Task::Stop => self.begin_stop(None, id).is_ok_and(|_| {
@@ -223,7 +233,7 @@ impl Applications {
             mec::Task::Nothing => true,
         };
         self.end(id, begun, is_done, now);
-        added
+        vnf
     }
 
     fn subscribe(&mut self, viewer: Option<&DomainId>, request: &Value) -> Result<String, LifecycleError> {
@@ -281,7 +291,7 @@ fn mec_instantiates_operates_and_terminates() {
     let begun = all.begin(None, &id, &instantiate("edge"), NOW).unwrap();
     let vnf = all.carry_out(&id, begun, true, NOW).unwrap();
     assert_eq!(all.shown(&id), "STOPPED", "its VNF does not serve yet");
-    all.observe(&vnf, Seen::Serves, NOW);
+    all.observe(&vnf, None, &Seen::Serves, NOW);
     assert_eq!(all.shown(&id), "STARTED");
     let begun = all.begin(None, &id, &stop(), NOW).unwrap();
     assert_eq!(begun.task, mec::Task::Stop);
@@ -367,9 +377,9 @@ fn subscribers_are_notified_of_what_they_filter_for() {
     let completed = all.subscribe(None, &operations).unwrap();
     let begun = all.begin(None, &id, &instantiate("edge"), NOW).unwrap();
     let vnf = all.carry_out(&id, begun, true, NOW).unwrap();
-    all.observe(&vnf, Seen::Serves, NOW);
-    all.observe(&vnf, Seen::Restarts, NOW);
-    all.observe(&vnf, Seen::Serves, NOW);
+    all.observe(&vnf, None, &Seen::Serves, NOW);
+    all.observe(&vnf, None, &Seen::Restarts, NOW);
+    all.observe(&vnf, None, &Seen::Serves, NOW);
     let told = all.deliver();
     let of = |subscription: &String| -> Vec<Value> {
         told.iter().filter(|one| one["subscriptionId"] == **subscription).cloned().collect()
@@ -490,7 +500,7 @@ proptest! {
                 match (step, &vnf) {
                     (4, _) => drop(all.configure(None, &id, NOW)),
                     (5, _) => drop(all.clean(None, &id, NOW)),
-                    (step, Some(vnf)) => all.observe(vnf, seen[usize::from(step) - 6].clone(), NOW),
+                    (step, Some(vnf)) => all.observe(vnf, None, &seen[usize::from(step) - 6], NOW),
                     (_, None) => {}
                 }
             }

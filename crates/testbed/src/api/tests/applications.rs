@@ -32,10 +32,20 @@ impl Applications {
                     other => other.name().to_owned(),
                 };
                 heard.push(about);
+                let placed = match &instruction {
+                    cotorra_graph::Instruction::Place { vnf, node } if refused.is_none() => {
+                        Some(cotorra_graph::Placement { vnf: vnf.clone(), node: node.clone() })
+                    }
+                    _ => None,
+                };
                 let plugin = "api".parse().unwrap();
                 let event =
                     cotorra_graph::Decision { plugin, instruction, reason: None, refused: refused.clone() };
                 live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Decision(event) });
+                // Its instance is there at once.
+                if let Some(placed) = placed {
+                    live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Placement(placed) });
+                }
                 let done =
                     refused.map_or(Ok(()), |reason| Err(cotorra_network_control::InstructionError(reason)));
                 (reply.expect("the API waits for an answer"))(done);
@@ -210,7 +220,7 @@ fn invalid_requests_of_fog05_say_what_is_wrong() {
         ("PUT /fog05/fdu/other/info", fdu().replace("DOCKER", "LXD"), 400, "`LXD`: only BARE and DOCKER"),
         ("PUT /fog05/fdu/one-fdu/info", fdu(), 409, "already"),
         ("PUT /fog05/fdu/a%2Fb/info", fdu(), 400, "`uuid`"),
-        ("PUT /fog05/nodes/A/one-fdu/define", String::new(), 404, "`A`"),
+        ("PUT /fog05/nodes/nowhere/one-fdu/define", String::new(), 404, "`nowhere`"),
         ("PUT /fog05/nodes/left/nothing/define", String::new(), 404, "there is no descriptor `nothing`"),
         ("POST /fog05/fdu/instances/x/start", String::new(), 404, "there is no instance `x`"),
         ("POST /fog05/fdu/instances/x/pause", String::new(), 501, "cannot be paused or resumed"),
@@ -223,7 +233,7 @@ fn invalid_requests_of_fog05_say_what_is_wrong() {
         ),
         ("PUT /fog05/networks/n1/info", net().replace("ELAN", "ELINE"), 400, "`net_type` is `ELINE`"),
         ("PUT /fog05/nodes/left/network/n1/info", String::new(), 404, "there is no network `n1`"),
-        ("PUT /fog05/nodes/A/network/n1/info", net(), 404, "`A`"),
+        ("PUT /fog05/nodes/nowhere/network/n1/info", net(), 404, "`nowhere`"),
         ("PUT /fog05/nodes/left/routers/r1/info", String::new(), 404, "not served here"),
     ] {
         let (status, answer) = all.ask(OPERATOR, head, &body);
