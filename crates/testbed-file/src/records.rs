@@ -320,8 +320,8 @@ record! {
         rate: UdpRate,
         /// Payload of a datagram, from 16 B to 1472 B.
         size: Spanned<Bytes> = "1472 B",
-        /// Times between datagrams, unless the source is saturated.
-        arrivals: Arrivals = "constant",
+        /// Times between datagrams. Without it, they are constant. A saturated source has none.
+        arrivals: Option<Spanned<Arrivals>>,
         ..path: TrafficPathRecord,
     }
 }

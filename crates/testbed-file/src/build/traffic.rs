@@ -1,6 +1,6 @@
 //! Sources of traffic.
 
-use cotorra_graph::{Load, TrafficId, TrafficSource};
+use cotorra_graph::{Load, TrafficId, TrafficSource, UdpRate};
 
 use super::builder::Builder;
 use crate::{
@@ -57,7 +57,17 @@ impl Builder<'_> {
             ));
             return None;
         }
-        Some(Load::Udp { rate: record.rate, size: size as u16, arrivals: record.arrivals })
+        if let (UdpRate::Saturated, Some(arrivals)) = (record.rate, &record.arrivals) {
+            self.sink
+                .error(
+                    &arrivals.span,
+                    "arrivals of a saturated source, which sends whenever its first link can",
+                )
+                .help("leave `arrivals` out, or write a rate, such as `rate: 10 Mbit/s`");
+            return None;
+        }
+        let arrivals = record.arrivals.as_ref().map(|arrivals| arrivals.value).unwrap_or_default();
+        Some(Load::Udp { rate: record.rate, size: size as u16, arrivals })
     }
 
     fn connection(&mut self, record: &TcpTrafficRecord) -> Option<Load> {
