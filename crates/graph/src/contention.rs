@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    fixed_rate::FixedRate,
     queue::{QueueDiscipline, QueueLimit},
     units::{Dbm, Position, Probability, millis},
     wifi_software::WifiSoftware,
@@ -157,6 +158,8 @@ pub enum RateControl {
     Ideal,
     /// By acknowledgements, as Linux does (Minstrel-HT).
     Minstrel,
+    /// None: all data frames have this rate.
+    Fixed(FixedRate),
 }
 
 /// Something else that sends on a channel.

@@ -12,6 +12,7 @@ use crate::{
     conditions::{Conditions, Loss, Scale},
     contention::Access,
     driver::Driver,
+    fixed_rate::FixedRate,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
     queue::QueueLimit,
@@ -609,6 +610,24 @@ impl WifiStandard {
             Self::N => "802.11n",
             Self::Ac => "802.11ac at 5 GHz",
             Self::Ax => "802.11ax",
+        }
+    }
+
+    /// Returns the rates of data in channels of a width with so many streams, from the slowest to the fastest
+    /// (IEEE 802.11-2020, tables 17-4, 19-27 to 19-36 and 21-30 to 21-45; IEEE 802.11ax-2021, 27.5). 802.11ac leaves out those whose
+    /// symbols have no whole number of bits (21.5): of one or two streams, MCS 9 in 20 MHz.
+    pub fn fixed_rates(self, width: ChannelWidth, streams: u8) -> Vec<FixedRate> {
+        let mcs = |count| (0..count).map(FixedRate::Mcs).collect();
+        match self {
+            Self::G | Self::A => [6, 9, 12, 18, 24, 36, 48, 54]
+                .into_iter()
+                .filter_map(|mbps: u64| BitRate::from_bits_per_second(1_000_000 * mbps))
+                .map(FixedRate::BitsPerSecond)
+                .collect(),
+            Self::N => mcs(8 * streams),
+            Self::Ac if width == ChannelWidth::Mhz20 => mcs(9),
+            Self::Ac => mcs(10),
+            Self::Ax => mcs(12),
         }
     }
 

@@ -19,6 +19,7 @@ mod driver;
 mod event;
 mod exposure;
 mod figure;
+mod fixed_rate;
 mod flow;
 mod goal;
 mod hardware;
@@ -78,6 +79,7 @@ pub use figure::{
     Better, Bound, Declared, FIGURES, Figure, FigureKind, InvalidBound, InvalidFigure, LatenessQuantity,
     LinkQuantity, MachineQuantity, Measure, RobotQuantity, Statistic, Total, Unit,
 };
+pub use fixed_rate::FixedRate;
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{

@@ -640,7 +640,16 @@ class Network
         WifiHelper wifi;
         wifi.SetStandard(StandardOf(standard));
         const bool isHt = standard != "a" && standard != "g";
-        if (m_spec["rate_control"].Text() == "ideal")
+        if (m_spec.Has("mode"))
+        {
+            // RTS, if there were any, at the lowest basic rate. Answers follow the data's modulation on both sides.
+            wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager",
+                                         "DataMode",
+                                         StringValue(m_spec["mode"].Text()),
+                                         "ControlMode",
+                                         StringValue(m_spec["is_5ghz"].Flag() ? "OfdmRate6Mbps" : "ErpOfdmRate6Mbps"));
+        }
+        else if (m_spec["rate_control"].Text() == "ideal")
         {
             wifi.SetRemoteStationManager("ns3::IdealWifiManager");
         }

@@ -8,9 +8,9 @@ use std::{
 
 use cotorra_fabric::sensitivity;
 use cotorra_graph::{
-    Arrivals, Codel, Conditions, Direction, Event, Link, NodeId, NodeKind, Pie, QueueDiscipline, QueueLimit,
-    Rate, Red, RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed, Timestamp, TrafficSource,
-    UdpRate, WifiStandard, WirelessNetwork,
+    Arrivals, Codel, Conditions, Direction, Event, FixedRate, Link, NodeId, NodeKind, Pie, QueueDiscipline,
+    QueueLimit, Rate, RateControl, Red, RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed,
+    Timestamp, TrafficSource, UdpRate, WifiStandard, WirelessNetwork,
 };
 use cotorra_testbed::{Altered, RunError, Unrecorded, simulate_unrecorded};
 
@@ -421,6 +421,11 @@ fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
     let frequency_mhz = network.standard.frequency_mhz(channel);
     let loss = |metres| network.path_loss.loss_db(metres, frequency_mhz);
     let (rate_control, aggregation) = stations(network);
+    let (rate_control, mode) = match rate_control {
+        RateControl::Ideal => (Some("ideal"), None),
+        RateControl::Minstrel => (Some("minstrel"), None),
+        RateControl::Fixed(rate) => (None, Some(mode(network.standard, rate))),
+    };
     Network {
         name: name.to_owned(),
         standard: match network.standard {
@@ -439,7 +444,19 @@ fn air(name: &str, network: &WirelessNetwork, channel: u8) -> Network {
         noise_figure_db: network.noise_floor.0 - THERMAL_NOISE,
         sensitivity_dbm: sensitivity(network).0,
         rate_control,
+        mode,
         aggregation,
+    }
+}
+
+/// Returns ns-3's name of the mode of a fixed rate.
+fn mode(standard: WifiStandard, rate: FixedRate) -> String {
+    match (standard, rate) {
+        (WifiStandard::N, FixedRate::Mcs(mcs)) => format!("HtMcs{mcs}"),
+        (WifiStandard::Ac, FixedRate::Mcs(mcs)) => format!("VhtMcs{mcs}"),
+        (_, FixedRate::Mcs(mcs)) => format!("HeMcs{mcs}"),
+        (WifiStandard::G, FixedRate::BitsPerSecond(rate)) => format!("ErpOfdmRate{}Mbps", rate.mbps()),
+        (_, FixedRate::BitsPerSecond(rate)) => format!("OfdmRate{}Mbps", rate.mbps()),
     }
 }
 
@@ -527,7 +544,7 @@ fn path(testbed: &Testbed, unit: &NodeId, server: &str) -> Option<Vec<String>> {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Pose, PoseSource, Velocity};
+    use cotorra_graph::{BitRate, Pose, PoseSource, Velocity};
     use cotorra_plugin::{
         convert::{to_pose, to_twist},
         wire::{self, HEADER_LEN, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
@@ -576,6 +593,20 @@ mod tests {
         let answer = PosePacket { sequence: 1, emitted: Timestamp::ZERO, nonce: 1, pose };
         assert_eq!(bytes(|buffer| answer.encode(buffer)), POSE);
         assert_eq!((FRAGMENT, BEFORE_FRAGMENT), (wire::FRAGMENT as u32, HEADER_LEN as u32 + 1));
+    }
+
+    #[test]
+    fn ns3_gets_its_own_names_of_fixed_rates() {
+        use WifiStandard::{A, Ac, Ax, G, N};
+        let mbps = |mbps| FixedRate::BitsPerSecond(BitRate::from_mbps(mbps).unwrap());
+        let names = [
+            mode(A, mbps(24.0)),
+            mode(G, mbps(9.0)),
+            mode(N, FixedRate::Mcs(15)),
+            mode(Ac, FixedRate::Mcs(9)),
+            mode(Ax, FixedRate::Mcs(11)),
+        ];
+        assert_eq!(names, ["OfdmRate24Mbps", "ErpOfdmRate9Mbps", "HtMcs15", "VhtMcs9", "HeMcs11"]);
     }
 
     #[test]

@@ -159,12 +159,8 @@ fn plain_wire(conditions: &Conditions) -> Conditions {
 }
 
 /// Returns how a network's stations choose their rates, and whether they aggregate.
-pub(crate) fn stations(network: &WirelessNetwork) -> (&'static str, bool) {
-    match network.access.edca() {
-        Some(edca) if edca.rate_control == RateControl::Minstrel => ("minstrel", edca.aggregation),
-        Some(edca) => ("ideal", edca.aggregation),
-        None => ("ideal", true),
-    }
+pub(crate) fn stations(network: &WirelessNetwork) -> (RateControl, bool) {
+    network.access.edca().map_or((RateControl::Ideal, true), |edca| (edca.rate_control, edca.aggregation))
 }
 
 /// Whether a node is a radio unit that serves.

@@ -51,8 +51,10 @@ pub(crate) struct Network {
     pub(crate) noise_figure_db: f64,
     /// Weakest frame that receivers find.
     pub(crate) sensitivity_dbm: f64,
-    /// `ideal` or `minstrel`.
-    pub(crate) rate_control: &'static str,
+    /// `ideal` or `minstrel`. None for a fixed rate.
+    pub(crate) rate_control: Option<&'static str>,
+    /// Mode of all data frames at a fixed rate, as ns-3 names it.
+    pub(crate) mode: Option<String>,
     pub(crate) aggregation: bool,
 }
 

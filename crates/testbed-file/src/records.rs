@@ -4,10 +4,10 @@ use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
     AgentId, Arrivals, BackgroundScan, BitRate, Bound, ChannelWidth, CongestionControl, Correlation,
-    DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy, GuardInterval, InstructionLimit,
-    IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase, PluginId, Position,
-    Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork,
-    SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume, WifiStandard,
+    DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, FixedRate, GapPolicy, GuardInterval,
+    InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase,
+    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming,
+    RobotModel, RosNetwork, SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -293,7 +293,7 @@ record! {
     /// Settings of EDCA (IEEE 802.11-2020, 10.23.2).
     AccessRecord {
         /// How stations choose their rates.
-        rate_control: RateControl = "minstrel",
+        rate_control: Either<RateControl, FixedRateRecord> = "minstrel",
         /// Whether frames for one receiver are sent together (A-MPDU). Without it: where the standard can, `n`, `ac`
         /// and `ax`.
         aggregation: Option<Spanned<bool>>,
@@ -302,6 +302,15 @@ record! {
         /// Limit of the queue of each sender for one receiver and category, which drops at its tail, or a mapping with
         /// `drop_tail` or `fq_codel`. Without it: FQ-CoDel and shares of airtime as in Linux.
         queue: Option<Spanned<Either<QueueLimit, QueueRecord>>>,
+    }
+}
+
+record! {
+    /// A network without a rate control.
+    FixedRateRecord {
+        /// Rate of all data frames: `MCS 7` of `n`, `ac` and `ax`, or `24 Mbit/s` of `a` and `g`. An MCS of `n` includes the
+        /// streams, eight for each; one of `ac` and `ax` goes with all streams of the network.
+        fixed: Spanned<FixedRate>,
     }
 }
 

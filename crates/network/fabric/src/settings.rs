@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, InvalidCorrelation, InvalidDiscipline, Jitter, LinkId, Loss,
-    Medium, NodeId, NotOffered, Probability, QueueLimit, Rate, Scale, Trace,
+    BitRate, ConditionChange, Conditions, FixedRate, InvalidCorrelation, InvalidDiscipline, Jitter, LinkId,
+    Loss, Medium, NodeId, NotOffered, Probability, QueueLimit, Rate, Scale, Trace,
 };
 
 /// An error of a call to the fabric. Nothing has changed then.
@@ -104,6 +104,14 @@ pub enum FabricError {
     /// An impossible δ.
     #[error("a drop scale of {0} cannot be: it is a number above 0, and 1 leaves the throughput as it is")]
     DropScale(f64),
+    /// A fixed rate that the network's standard, width and streams do not have.
+    #[error("{standard} has no {rate} with these streams in a channel of this width")]
+    NoSuchRate {
+        /// The standard.
+        standard: &'static str,
+        /// The rate.
+        rate: FixedRate,
+    },
     /// A rate above the medium's.
     #[error("{asked_mbps} Mbit/s are above the {medium} that the medium carries")]
     AboveMedium {

@@ -3,17 +3,17 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Access, Contention, Edca, FqCodel, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence,
-    Probability, QueueDiscipline, QueueLimit, RateControl, WifiStandard, WirelessNetwork,
+    Access, Contention, Edca, FixedRate, FqCodel, Interferer, InterfererKind, Node, NodeKind, PowerSave,
+    Presence, Probability, QueueDiscipline, QueueLimit, RateControl, WifiStandard, WirelessNetwork,
 };
 
 use super::builder::{Builder, each};
 use crate::{
     records::{
-        AccessWord, DeviceRecord, EmitterRecord, InterferenceRecord, NodeRecord, OtherNetworkRecord,
-        PowerSaveRecord, PresenceRecord, QueueRecord, WirelessRecord,
+        AccessWord, DeviceRecord, EmitterRecord, FixedRateRecord, InterferenceRecord, NodeRecord,
+        OtherNetworkRecord, PowerSaveRecord, PresenceRecord, QueueRecord, WifiWord, WirelessRecord,
     },
-    yaml::decode::{Either, Spanned},
+    yaml::decode::{Either, Spanned, words},
 };
 
 /// Times of frames and pulses. Shorter ones would cost a run its speed.
@@ -53,10 +53,45 @@ impl Builder<'_> {
                     Some(record) => Some(self.power_save(record)?),
                 };
                 let (queue, queue_discipline) = self.radio_queue(record.standard, settings.queue.as_ref())?;
-                let rate_control = settings.rate_control;
+                let rate_control = match &settings.rate_control {
+                    Either::Short(control) => *control,
+                    Either::Long(FixedRateRecord { fixed }) => self.fixed_rate(record, fixed)?,
+                };
                 Some(Edca { aggregation, rate_control, power_save, queue, queue_discipline })
             }
         }
+    }
+
+    /// Returns the rate control of stations that send at a fixed rate. The standard has it, and the software of stations does it.
+    fn fixed_rate(&mut self, record: &WirelessRecord, rate: &Spanned<FixedRate>) -> Option<RateControl> {
+        if record.wifi.value != WifiWord::Model {
+            self.sink
+                .error(&rate.span, "a fixed rate for hostapd and wpa_supplicant, whose kernel chooses rates")
+                .help("leave `rate_control` out, or write `wifi: model`");
+            return None;
+        }
+        let (width, streams) = (record.width.value, record.streams.value.clamp(1, 2));
+        let rates = record.standard.fixed_rates(width, streams);
+        if !rates.contains(&rate.value) {
+            let at_2_ghz_or_5 = record.standard.described();
+            let streams = if streams == 1 { "one stream" } else { "two streams" };
+            let message = match rate.value {
+                FixedRate::Mcs(_) if record.standard.aggregates() => {
+                    format!("{at_2_ghz_or_5} has no {} with {streams} in {} MHz", rate.value, width.mhz())
+                }
+                _ => format!("{at_2_ghz_or_5} has no {}", rate.value),
+            };
+            let help = match &rates[..] {
+                [first @ FixedRate::Mcs(_), .., last] => format!("write `{first}` to `{last}`"),
+                rates => format!(
+                    "its rates are {}",
+                    words(&rates.iter().map(FixedRate::to_string).collect::<Vec<_>>())
+                ),
+            };
+            self.sink.error(&rate.span, message).help(help);
+            return None;
+        }
+        Some(RateControl::Fixed(rate.value))
     }
 
     /// Returns the limit and the discipline of the queues of radios.

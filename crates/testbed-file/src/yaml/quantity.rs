@@ -8,7 +8,7 @@ use super::{
     Sink,
     decode::{Decode, Node, expected, nearest, words},
 };
-use cotorra_graph::{BitRate, Correlation, Dbm, Probability, QueueLimit, Rate, UdpRate};
+use cotorra_graph::{BitRate, Correlation, Dbm, FixedRate, Probability, QueueLimit, Rate, UdpRate};
 
 /// A ratio in dB, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -293,6 +293,36 @@ impl Decode for UdpRate {
             return None;
         }
         BitRate::decode(node, sink).map(Self::Rate)
+    }
+}
+
+/// MCS indices of all standards and streams.
+const MOST_MCS: u8 = 31;
+
+impl Decode for FixedRate {
+    fn schema() -> Json {
+        let mut rate = RATE.schema();
+        let pattern = format!("^MCS [0-9]+$|{}", rate["pattern"].as_str().unwrap_or_default());
+        rate["pattern"] = json!(pattern);
+        rate["examples"] = json!(["MCS 7", "24 Mbit/s"]);
+        rate
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let text = node.text().unwrap_or_default();
+        if let Some(number) = text.strip_prefix("MCS ") {
+            let mcs = number.parse().ok().filter(|mcs| *mcs <= MOST_MCS);
+            if mcs.is_none() {
+                sink.error(&node.span, format!("{} is no MCS", node.describe()))
+                    .help(format!("write a number from 0 to {MOST_MCS}, such as `MCS 7`"));
+            }
+            return mcs.map(Self::Mcs);
+        }
+        if split(text).1.is_empty() || text.starts_with(char::is_alphabetic) {
+            sink.error(&node.span, format!("{} is no fixed rate", node.describe()))
+                .help("write an MCS, such as `MCS 7`, or a rate of 802.11a and g, such as `24 Mbit/s`");
+            return None;
+        }
+        BitRate::decode(node, sink).map(Self::BitsPerSecond)
     }
 }
 

@@ -3,8 +3,8 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
-    FqCodel, PassiveVisits, Phase, Protection, QueueDiscipline, QueueLimit, RadioKind, RobotClock,
-    ScanVisits, Security, Testbed, WifiSoftware,
+    BitRate, FixedRate, FqCodel, PassiveVisits, Phase, Protection, QueueDiscipline, QueueLimit, RadioKind,
+    RateControl, RobotClock, ScanVisits, Security, Testbed, WifiSoftware,
 };
 use cotorra_testbed_file::Setting;
 
@@ -190,6 +190,20 @@ fn radios_have_the_queues_of_linux_unless_the_file_says_otherwise() {
     assert_eq!(queue("wireless.lab.access={ queue: 50 packets }"), short);
     let usual = (QueueLimit::default(), QueueDiscipline::FqCodel(FqCodel::default()));
     assert_eq!(queue("wireless.lab.access={ queue: { discipline: fq_codel } }"), usual);
+}
+
+#[test]
+fn rates_of_stations_can_be_fixed() {
+    let control = |settings: &[&str]| {
+        with(settings).unwrap().graph.wireless["lab"].access.edca().map(|edca| edca.rate_control)
+    };
+    assert_eq!(control(&["wireless.lab.access={ queue: 50 packets }"]), Some(RateControl::Minstrel));
+    let fixed = |rate: &str| format!("wireless.lab.access={{ rate_control: {{ fixed: {rate} }} }}");
+    let mcs = |mcs| Some(RateControl::Fixed(FixedRate::Mcs(mcs)));
+    assert_eq!(control(&["wireless.lab.standard=n", &fixed("MCS 7")]), mcs(7));
+    assert_eq!(control(&["wireless.lab.standard=n", "wireless.lab.streams=2", &fixed("MCS 15")]), mcs(15));
+    let rate = FixedRate::BitsPerSecond(BitRate::from_mbps(24.0).unwrap());
+    assert_eq!(control(&["wireless.lab.standard=g", &fixed("24 Mbit/s")]), Some(RateControl::Fixed(rate)));
 }
 
 #[test]

@@ -10,6 +10,7 @@ use cotorra_graph::{
 use cotorra_numbers::Draws;
 
 use super::{
+    Network,
     fading::{FadingField, Moment},
     medium::QueueSettings,
     phy::{Exchange, Phy, Reception},
@@ -97,20 +98,16 @@ impl Flight {
 
 impl WirelessLink {
     /// Creates the link of a network, on a channel with this centre.
-    pub(super) fn new(
-        id: LinkId,
-        network: &WirelessNetwork,
-        settings: &Settings,
-        frequency_mhz: u16,
-        seed: u64,
-    ) -> Self {
-        let rates = |direction: &str| match network.access.edca().map(|edca| edca.rate_control) {
-            None | Some(cotorra_graph::RateControl::Ideal) => RateControl::Ideal,
-            Some(cotorra_graph::RateControl::Minstrel) => {
-                RateControl::minstrel(Draws::new(seed, &format!("rates {id} {direction}")))
-            }
+    pub(super) fn new(id: LinkId, network: &Network, frequency_mhz: u16, seed: u64) -> Self {
+        let Network { spec, settings, fixed_mode, .. } = network;
+        let learns =
+            spec.access.edca().map(|edca| edca.rate_control) == Some(cotorra_graph::RateControl::Minstrel);
+        let rates = |direction: &str| match fixed_mode {
+            Some(mode) => RateControl::Fixed(*mode),
+            None if learns => RateControl::minstrel(Draws::new(seed, &format!("rates {id} {direction}"))),
+            None => RateControl::Ideal,
         };
-        let fading = network
+        let fading = spec
             .fading
             .as_ref()
             .map(|fading| FadingField::new(fading, frequency_mhz, Draws::new(seed, &format!("fading {id}"))));

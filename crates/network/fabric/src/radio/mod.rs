@@ -150,6 +150,8 @@ struct Network {
     /// Weakest signal that a receiver can decode.
     sensitivity: Dbm,
     settings: Settings,
+    /// Mode of all data frames; `None` if a rate control chooses modes.
+    fixed_mode: Option<usize>,
     units: Vec<RadioUnitIndex>,
 }
 
@@ -227,7 +229,7 @@ impl Radio {
     /// Creates the radios of a graph. Each station begins attached to the strongest radio unit within reach of its network.
     ///
     /// # Errors
-    /// [`GraphError::Conditions`] for an impossible delay of a network.
+    /// [`GraphError::Conditions`] for an impossible delay of a network, and for a fixed rate that it does not have.
     pub(crate) fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, GraphError> {
         let mut networks = Vec::new();
         let mut network_by_ssid = BTreeMap::new();
@@ -633,11 +635,13 @@ impl Radio {
         let link = self.links[self.pair(robot, unit)].as_deref();
         let [up, down] = self.receptions(robot, unit, 0.0);
         let chosen = self.lent.rates(robot, unit);
+        let fixed_mode = self.networks[self.robots[robot].network].fixed_mode;
         let bps = |direction, reception: &Reception| {
             if let Some(rate) = chosen[direction as usize] {
                 return rate.bits_per_second() as f64;
             }
-            1e6 * link.map_or_else(|| reception.mbps(), |link| link.mbps(direction, reception))
+            let first = || fixed_mode.map_or_else(|| reception.mbps(), |mode| reception.mbps_of(mode));
+            1e6 * link.map_or_else(first, |link| link.mbps(direction, reception))
         };
         let [uplink_bps, downlink_bps] = [bps(Direction::Forward, &up), bps(Direction::Backward, &down)];
         let counted = StationCounts::default();
@@ -790,9 +794,8 @@ impl Radio {
         self.links[pair].get_or_insert_with(|| {
             let RobotRadio { id, network, .. } = &self.robots[robot];
             let Unit { id: unit, frequency_mhz, .. } = &self.units[unit];
-            let Network { settings, spec, .. } = &self.networks[*network];
             let id = LinkId::wireless(id, unit);
-            Box::new(WirelessLink::new(id, spec, settings, *frequency_mhz, self.seed))
+            Box::new(WirelessLink::new(id, &self.networks[*network], *frequency_mhz, self.seed))
         })
     }
 
@@ -828,6 +831,7 @@ impl Network {
             phy,
             sensitivity: sensitivity(spec),
             settings: link::initial_settings(spec, phy)?,
+            fixed_mode: rate_control::fixed_mode(spec)?,
             units: Vec::new(),
             ssid: ssid.to_owned(),
             spec: spec.clone(),

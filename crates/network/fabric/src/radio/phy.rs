@@ -3,7 +3,9 @@
 
 use std::{sync::LazyLock, time::Duration};
 
-use cotorra_graph::{Band, BitRate, ChannelWidth, Dbm, GuardInterval, WifiStandard, WirelessNetwork};
+use cotorra_graph::{
+    Band, BitRate, ChannelWidth, Dbm, FixedRate, GuardInterval, WifiStandard, WirelessNetwork,
+};
 
 /// Modulation of each subcarrier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -188,6 +190,8 @@ pub(super) struct Phy {
     modes: Vec<Mode>,
     /// Numbers of streams.
     streams: usize,
+    /// Names of the last modes, as testbeds fix them. Those of 802.11ac and ax are the modes with all streams.
+    fixed_rates: Vec<FixedRate>,
     sifs_us: u64,
     /// Silence at the end of an OFDM frame at 2.4 GHz (18.3.2.4).
     extension_us: u64,
@@ -336,6 +340,7 @@ impl Layer {
         Phy {
             modes,
             streams,
+            fixed_rates: self.standard.fixed_rates(self.width, self.streams),
             sifs_us,
             extension_us,
             overhead_bytes,
@@ -380,6 +385,12 @@ impl Phy {
     /// Returns the numbers of streams, each of which has as many modes.
     pub(super) fn streams(&self) -> usize {
         self.streams
+    }
+
+    /// Returns the mode of a fixed rate; `None` if this layer does not have it.
+    pub(super) fn mode_of(&self, rate: FixedRate) -> Option<usize> {
+        let place = self.fixed_rates.iter().position(|its| *its == rate)?;
+        Some(self.modes.len() - self.fixed_rates.len() + place)
     }
 
     /// Whether frames may be aggregated.
@@ -732,6 +743,35 @@ mod tests {
         assert_eq!(rates(WifiStandard::N), ht);
         assert_eq!(rates(WifiStandard::Ac), [&ht[..], &[78.0]].concat());
         assert_eq!(Phy::usual(WifiStandard::Ac).top_rate().mbps(), 78.0);
+    }
+
+    #[test]
+    fn fixed_rates_are_modes_of_their_layers() {
+        for layer in Layer::all() {
+            let phy = Phy::of_layer(layer);
+            let has_streams = layer.standard.aggregates();
+            let streams = if has_streams { usize::from(layer.streams) } else { 1 };
+            let rates = layer.standard.fixed_rates(layer.width, layer.streams);
+            let modes: Vec<_> = rates.iter().map(|rate| phy.mode_of(*rate).unwrap()).collect();
+            let first =
+                if layer.standard == WifiStandard::N { 0 } else { phy.modes.len() / streams * (streams - 1) };
+            assert_eq!(modes, (first..phy.modes.len()).collect::<Vec<_>>(), "{layer:?}");
+            for (rate, mode) in rates.iter().zip(modes) {
+                let Mode { constellation, coding, .. } = phy.modes[mode];
+                match rate {
+                    FixedRate::BitsPerSecond(rate) => {
+                        assert_eq!(phy.modes[mode].bits_per_second(), rate.bits_per_second());
+                    }
+                    FixedRate::Mcs(mcs) => {
+                        let mcs = usize::from(*mcs);
+                        let mcs = if layer.standard == WifiStandard::N { mcs % 8 } else { mcs };
+                        assert_eq!((constellation, coding), MCS[mcs]);
+                    }
+                }
+            }
+            let slow = FixedRate::BitsPerSecond(BitRate::from_mbps(6.5).unwrap());
+            assert_eq!([slow, FixedRate::Mcs(16)].map(|rate| phy.mode_of(rate)), [None; 2]);
+        }
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! The rate of each frame or aggregate from one sender to one receiver.
 
-use cotorra_graph::Timestamp;
+use cotorra_graph::{Band, Timestamp, WirelessNetwork};
 use cotorra_numbers::Draws;
 
 use super::{
     minstrel::{Chain, Minstrel, Tried},
     phy::{ATTEMPTS, Phy, Reception},
 };
+use crate::settings::FabricError;
 
 /// Parameters of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,6 +26,8 @@ pub(super) struct Attempt {
 pub(super) enum RateControl {
     /// The mode with the highest expected goodput at the present signal, as if the sender knew it.
     Ideal,
+    /// Always this mode.
+    Fixed(usize),
     /// Linux's, which learns from acknowledgements. It begins anew with each association.
     Minstrel { state: Option<Box<Learning>>, rng: Draws },
 }
@@ -43,6 +46,21 @@ struct Running {
     /// Attempts of this stage.
     used: u32,
     tried: Vec<Tried>,
+}
+
+/// Returns the mode of all data frames of a network; `None` if a rate control chooses modes.
+///
+/// # Errors
+/// [`FabricError::NoSuchRate`] if the network's standard, width and streams do not have it.
+pub(super) fn fixed_mode(network: &WirelessNetwork) -> Result<Option<usize>, FabricError> {
+    match network.access.edca().map(|edca| edca.rate_control) {
+        Some(cotorra_graph::RateControl::Fixed(rate)) => {
+            // Both bands have the same modes.
+            let mode = Phy::of(network, Band::Ghz5).mode_of(rate);
+            mode.map(Some).ok_or(FabricError::NoSuchRate { standard: network.standard.described(), rate })
+        }
+        _ => Ok(None),
+    }
 }
 
 impl RateControl {
@@ -70,6 +88,7 @@ impl RateControl {
             Self::Ideal => {
                 Attempt { mode: reception.best(frame_bytes), rts: false, alone: false, most: ATTEMPTS }
             }
+            Self::Fixed(mode) => Attempt { mode: *mode, rts: false, alone: false, most: ATTEMPTS },
             Self::Minstrel { state, rng } => {
                 let Learning { minstrel, running } = &mut **state.get_or_insert_with(|| {
                     let minstrel = Minstrel::new(now, phy, rng.fork());
@@ -115,6 +134,7 @@ impl RateControl {
     pub(super) fn mbps(&self, reception: &Reception) -> f64 {
         match self {
             Self::Minstrel { state: Some(state), .. } => reception.mbps_of(state.minstrel.best()),
+            Self::Fixed(mode) => reception.mbps_of(*mode),
             Self::Ideal | Self::Minstrel { state: None, .. } => reception.mbps(),
         }
     }

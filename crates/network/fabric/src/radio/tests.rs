@@ -6,9 +6,9 @@ mod foreign;
 mod supplicant;
 
 use cotorra_graph::{
-    Access, BitRate, Conditions, Edca, FqCodel, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PassiveVisits, PathLoss, PowerSave, Probability, QueueDiscipline, QueueLimit, RadioUnit,
-    Rate, RateControl, Roaming, Robot, ScanVisits, Shadowing, WifiStandard,
+    Access, BitRate, Conditions, Edca, FixedRate, FqCodel, FtKey, Handover, HandoverTimes, HostAddress, Link,
+    Loss, Node, NodeKind, PassiveVisits, PathLoss, PowerSave, Probability, QueueDiscipline, QueueLimit,
+    RadioUnit, Rate, RateControl, Roaming, Robot, ScanVisits, Shadowing, WifiStandard,
 };
 use cotorra_graph_testing as base;
 use proptest::prelude::*;
@@ -780,8 +780,12 @@ proptest! {
         seed: u64,
         gap in prop_oneof![Just(GapPolicy::Hold), Just(GapPolicy::Drop)],
         deviation_db in 0.0..8.0f64,
-        access in prop::option::of(any::<[bool; 4]>().prop_map(|[aggregation, learns, sleeps, is_fair]| {
-            let rate_control = if learns { RateControl::Minstrel } else { RateControl::Ideal };
+        access in prop::option::of(any::<[bool; 5]>().prop_map(|[aggregation, learns, knows, sleeps, is_fair]| {
+            let rate_control = match (learns, knows) {
+                (true, _) => RateControl::Minstrel,
+                (false, true) => RateControl::Ideal,
+                (false, false) => RateControl::Fixed(FixedRate::Mcs(3)),
+            };
             let power_save = sleeps.then_some(PowerSave { idle: ms(20), dtim_period: 3 });
             let (queue, queue_discipline) = match is_fair {
                 false => Default::default(),

@@ -1,6 +1,8 @@
 //! Channels on which stations contend: throughput, collisions, hidden nodes, capture, aggregation and interference.
 
-use cotorra_graph::{FqCodel, Interferer, InterfererKind, PowerSave, Presence, QueueDiscipline, RateControl};
+use cotorra_graph::{
+    FixedRate, FqCodel, Interferer, InterfererKind, PowerSave, Presence, QueueDiscipline, RateControl,
+};
 
 use super::*;
 
@@ -431,6 +433,54 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
         assert!(learned > 0.9 * ideal, "{learned} and {ideal} frames at {x} m");
         assert!(lost <= 20, "{lost} frames lost at {x} m");
     }
+}
+
+#[test]
+fn a_fixed_rate_stays_whatever_the_signal_is() {
+    // MCS 4 has 39 Mbit/s: at 5 m its rate limits it, and at 100 m nearly nothing arrives.
+    let network = |standard, rate| WirelessNetwork {
+        standard,
+        access: Edca {
+            aggregation: standard == WifiStandard::N,
+            rate_control: RateControl::Fixed(rate),
+            ..base::edca()
+        }
+        .into(),
+        ..contending()
+    };
+    let rate = |network, x: f64| {
+        let mut world = stations(network, &[x]);
+        for i in 0..40 {
+            (0..250).for_each(|_| world.up(at(50 * i), "r0", 1514));
+            world.run(at(50 * i + 49));
+        }
+        let arrived = world.arrived.iter().filter(|(due, ..)| *due > at(1000)).count() as f64;
+        let [context] = &world.radio.contexts(at(2000))[..] else { panic!("there is one radio unit") };
+        (arrived * 1514.0 * 8.0 / 1e6, context.stations[0].uplink_bps / 1e6)
+    };
+    let mcs = |mcs| network(WifiStandard::N, FixedRate::Mcs(mcs));
+    let (near, shown) = rate(mcs(4), 5.0);
+    assert!((33.0..39.0).contains(&near), "{near} Mbit/s");
+    assert_eq!(shown, 39.0);
+    let (far, shown) = rate(mcs(4), 100.0);
+    assert!(far < 0.1 * near, "{far} Mbit/s");
+    assert_eq!(shown, 39.0);
+    let (slow, _) = rate(mcs(0), 5.0);
+    assert!((5.0..6.5).contains(&slow), "{slow} Mbit/s");
+    let of_12 = FixedRate::BitsPerSecond(BitRate::from_mbps(12.0).unwrap());
+    let (legacy, shown) = rate(network(WifiStandard::A, of_12), 5.0);
+    assert!((9.0..12.0).contains(&legacy), "{legacy} Mbit/s");
+    assert_eq!(shown, 12.0);
+}
+
+#[test]
+fn a_fixed_rate_that_the_standard_lacks_is_rejected() {
+    let access = Edca { rate_control: RateControl::Fixed(FixedRate::Mcs(8)), ..base::edca() }.into();
+    let network = WirelessNetwork { standard: WifiStandard::N, streams: 1, access, ..contending() };
+    let wireless = [("air".to_owned(), network)].into();
+    let graph = HardwareGraph { wireless, ..base::graph(Vec::new(), Vec::new()) };
+    let error = Radio::new(&graph, 1).unwrap_err().to_string();
+    assert!(error.contains("802.11n has no MCS 8"), "{error}");
 }
 
 /// Sends frames down to a station that sleeps after 100 ms, one each 250 ms. Returns their delays, µs.
