@@ -28,7 +28,7 @@ use cotorra_numbers::Draws;
 use serde::Serialize;
 
 use self::{
-    gaps::{Late, Spikes},
+    gaps::{Answers, Late, Spikes},
     regions::Visits,
     setting::Crossings,
 };
@@ -171,12 +171,6 @@ impl Series {
             low().filter(|(at_s, _)| !spikes.is_in_scan(*at_s)).map(|(_, ms)| *ms).collect();
         if outside.len() < LEAST_IN_REGION { low().map(|(_, ms)| *ms).collect() } else { outside }
     }
-
-    /// Returns how much later than usual each sample is.
-    fn late(&self) -> impl Iterator<Item = Late> {
-        let middle = self.median_ms();
-        self.samples.iter().map(move |(at_s, ms)| Late { at_s: *at_s, late_ms: ms - middle })
-    }
 }
 
 fn median(values: Vec<f64>) -> f64 {
@@ -208,8 +202,17 @@ pub fn fit_walk(data: &WalkData<'_>, seed: u64) -> WalkFit {
     });
     let network = network(data);
     let spike_ms = spike_ms(network.map(|(_, network)| network), [&measured, &simulated]);
-    let spikes = [&measured, &simulated]
-        .map(|walk| Spikes::of(walk.values().flat_map(Series::late).collect(), spike_ms));
+    let air_ms = network.map_or(0.0, |(_, network)| 2e3 * network.delay.as_secs_f64());
+    let spikes = [
+        spikes(&measured, &aligned, data.measured.iter().copied(), spike_ms, air_ms),
+        spikes(
+            &simulated,
+            &visits,
+            data.simulated.iter().map(|simulated| simulated.sample),
+            spike_ms,
+            air_ms,
+        ),
+    ];
     let crossings = Crossings::of(data, &visits);
     let mut fit = WalkFit { regions: Vec::new(), scan: None, settings: Vec::new(), notes };
     for (region, series) in &measured {
@@ -299,6 +302,27 @@ fn by_region<'a>(visits: &Visits<'a>, samples: impl Iterator<Item = WalkSample>)
         }
     }
     found
+}
+
+/// Returns the spikes of a walk whose frames are on the air for `air_ms` there and back. Those near changes of region count, too:
+/// a robot that roams by scans changes right behind a scan.
+fn spikes(
+    walk: &Walk<'_>,
+    visits: &Visits<'_>,
+    samples: impl Iterator<Item = WalkSample>,
+    spike_ms: f64,
+    air_ms: f64,
+) -> Spikes {
+    let usual: BTreeMap<_, _> = walk.iter().map(|(region, series)| (*region, series.median_ms())).collect();
+    let late = samples.filter_map(|WalkSample { at_s, ms }| {
+        let usual_ms = usual.get(visits.at(at_s)?)?;
+        Some(Late { at_s, late_ms: ms? - usual_ms })
+    });
+    let answers = walk.iter().map(|(region, series)| Answers {
+        samples: series.samples.len() as f64,
+        after_ms: (usual[region] - air_ms).max(0.0),
+    });
+    Spikes::of(late.collect(), spike_ms, answers.collect())
 }
 
 /// Returns the height above which a sample is a spike of a scan, ms: above the usual variation, and above the longest change of

@@ -1,14 +1,18 @@
 //! The duration of scans and the number of their visits of other channels, by how late they make service times.
 //!
-//! A frame that comes at a random time of a visit of duration G waits uniformly up to G. Above a height u, the lateness of samples
-//! is therefore uniform between u and G, with the mean (u + G)/2. If G itself is uniform within ± v of its mean s, longer scans
-//! meet more samples, and the mean is (s²·(1 + v²/3) - u²) / (2·(s - u)). The duration follows from the measured mean.
+//! A request that comes at a random time of a visit of duration G waits uniformly up to G. Above a height u, its lateness is
+//! therefore uniform between u and G. An answer waits, too: that of a request which left up to r before the visit, the time from
+//! the air to the server and back, waits uniformly between G - r and G. So samples that are Δ apart make (G - u + r)/Δ spikes in
+//! each visit, on average, and their mean height is ((G² - u²)/2 + G·r - r²/2) / (G - u + r). If G itself is uniform within ± v
+//! of its mean, longer scans meet more samples, and G² is larger by the factor 1 + v²/3. Regions differ by r, so that both sums are
+//! taken over all of them.
 //!
-//! Samples that are Δ apart make (G - u)/Δ spikes in each visit, on average. So the spikes of a scan give the number of its
-//! visits. The visits of one scan are a train: they are near to each other, and scans are not.
+//! The duration follows from the measured mean height, and the number of visits from the number of spikes of a scan. The visits of
+//! one scan are a train: they are near to each other, and scans are not.
 //!
-//! The same estimate of the simulated walk, whose scans are known, corrects what this leaves out (indirect inference:
-//! Gouriéroux, Monfort and Renault, Journal of Applied Econometrics 8, 1993).
+//! For the duration, the same estimate of the simulated walk, whose scans are known, corrects what this leaves out (indirect
+//! inference: Gouriéroux, Monfort and Renault, Journal of Applied Econometrics 8, 1993). The number of visits does without: a
+//! simulated walk has few spikes, and would add more chance than it corrects.
 
 use std::time::Duration;
 
@@ -26,6 +30,13 @@ const ONE_SCAN_SAMPLES: f64 = 4.0;
 const RARE_S: f64 = 0.5;
 /// Fewest scans of a fit.
 const LEAST_SCANS: usize = 5;
+/// A train with less than this share of the spikes of a typical one is of no scan: what is late for another reason comes alone.
+const OF_A_SCAN: f64 = 0.25;
+/// A resample has so many scans less: percentiles of resamples of as few values as a walk has scans are too near to each other, by
+/// the factor √(1 - 1/n), and by the normal distribution in place of Student's.
+const FEWER: usize = 2;
+/// Steps by which the duration is found between its least and its largest value.
+const HALVINGS: usize = 50;
 /// Time on its channel between two visits, of scans that the testbed file does not divide: that of Linux (`net/mac80211/scan.c`).
 const BACK: Duration = Duration::from_millis(200);
 
@@ -37,8 +48,17 @@ pub(super) struct Late {
     pub late_ms: f64,
 }
 
-/// The spikes of a scan.
+/// The answers of some samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Answers {
+    /// Number of the samples.
+    pub samples: f64,
+    /// Time from the air to the server and back, in which a scan may begin, ms.
+    pub after_ms: f64,
+}
+
+/// The spikes of a scan.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Train {
     spikes: f64,
     /// Sum of their heights, ms.
@@ -54,6 +74,7 @@ pub(super) struct Spikes {
     samples: Vec<Late>,
     /// Height above which samples are spikes.
     spike_ms: f64,
+    answers: Vec<Answers>,
     /// Usual time from one sample to the next, seconds.
     apart_s: f64,
     trains: Vec<Train>,
@@ -61,7 +82,7 @@ pub(super) struct Spikes {
 
 impl Spikes {
     /// Finds the scans of a walk.
-    pub fn of(mut samples: Vec<Late>, spike_ms: f64) -> Self {
+    pub fn of(mut samples: Vec<Late>, spike_ms: f64, answers: Vec<Answers>) -> Self {
         samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         let apart_s = median(samples.windows(2).map(|pair| pair[1].at_s - pair[0].at_s).collect());
         let spikes: Vec<_> = samples.iter().filter(|sample| sample.late_ms > spike_ms).collect();
@@ -74,7 +95,7 @@ impl Spikes {
             until_s: train[train.len() - 1].at_s,
         };
         let trains = trains.map(train).collect();
-        Self { samples, spike_ms, apart_s, trains }
+        Self { samples, spike_ms, answers, apart_s, trains }
     }
 
     /// Whether a sample may be of a scan: late, but less than a spike.
@@ -98,20 +119,63 @@ impl Spikes {
         self.samples.len() as f64 * self.apart_s
     }
 
-    /// Returns the mean height of the spikes of scans, ms, and the number of visits of one of so many scans.
-    fn shape(&self, trains: impl Iterator<Item = Train>, scans: f64) -> Shape {
+    /// Returns the trains that are of scans, by the size at which half of all spikes are in larger ones.
+    fn scans(&self) -> Vec<Train> {
+        let mut sizes: Vec<_> = self.trains.iter().map(|train| train.spikes).collect();
+        sizes.sort_by(|a, b| b.total_cmp(a));
+        let half = sizes.iter().sum::<f64>() / 2.0;
+        let mut typical = sizes.iter().scan(0.0, |sum, size| {
+            *sum += size;
+            Some((*sum, *size))
+        });
+        let typical = typical.find(|(sum, _)| *sum >= half).map_or(0.0, |(_, size)| size);
+        self.trains.iter().filter(|train| train.spikes >= OF_A_SCAN * typical).copied().collect()
+    }
+
+    /// Returns what the spikes of some scans show, each of whose visits varies by a share.
+    fn shape(&self, trains: impl Iterator<Item = Train>, variation: f64) -> Shape {
         let (spikes, late_ms) =
             trains.fold((0.0, 0.0), |(n, sum), train| (n + train.spikes, sum + train.late_ms));
         let mean_ms = late_ms / spikes;
-        let visible_s = 2.0 * (mean_ms - self.spike_ms) / 1e3;
-        Shape { mean_ms, visits: spikes * self.apart_s / (scans * visible_s) }
+        let duration_ms = self.duration_ms(mean_ms, variation);
+        let (visible_ms, _) = self.of_visit(duration_ms, variation);
+        Shape { duration_ms, visits: spikes * self.apart_s * 1e3 / visible_ms }
+    }
+
+    /// Returns the mean duration of visits that vary uniformly by up to a share, if their spikes are `mean_ms` high on average.
+    fn duration_ms(&self, mean_ms: f64, variation: f64) -> f64 {
+        // If all spikes were uniform between both, it would be the highest.
+        let (mut low, mut high) = (self.spike_ms, 2.0 * mean_ms - self.spike_ms);
+        for _ in 0..HALVINGS {
+            let middle = f64::midpoint(low, high);
+            let (visible_ms, sum) = self.of_visit(middle, variation);
+            if sum < mean_ms * visible_ms { low = middle } else { high = middle }
+        }
+        high
+    }
+
+    /// Returns the time in which the request of a spike leaves, ms, of a visit of a mean duration that varies uniformly by up to a
+    /// share, and the integral of the spike's height over this time, ms².
+    fn of_visit(&self, duration_ms: f64, variation: f64) -> (f64, f64) {
+        let (g, u) = (duration_ms, self.spike_ms);
+        let squares = g * g * (1.0 + variation * variation / 3.0);
+        let all: f64 = self.answers.iter().map(|of| of.samples).sum();
+        self.answers.iter().fold((0.0, 0.0), |(visible, sum), of| {
+            // An answer that waits less is no spike.
+            let r = of.after_ms.min(g - u);
+            let share = of.samples / all;
+            let integral = (squares - u * u) / 2.0 + g * r - r * r / 2.0;
+            (visible + share * (g - u + r), sum + share * integral)
+        })
     }
 }
 
-/// What spikes show of a scan.
+/// What spikes of scans show.
 #[derive(Debug, Clone, Copy)]
 struct Shape {
-    mean_ms: f64,
+    /// Mean duration of a visit, ms.
+    duration_ms: f64,
+    /// Number of visits, of all scans.
     visits: f64,
 }
 
@@ -155,42 +219,49 @@ pub(super) fn fit(
             ));
         }
     }
-    let simulated_scans = beside.len() as f64;
-    // Rare samples miss many visits. They show how many there are in all, but not of how many scans.
-    let scans = if measured.apart_s > RARE_S {
-        (simulated_scans * measured.time_s() / simulated.time_s()).max(1.0)
+    let rare = measured.apart_s > RARE_S;
+    // Rare samples miss many visits, and some scans. They show how many visits there are in all, but not of how many scans.
+    let mut trains = if rare { found.clone() } else { measured.scans() };
+    let scans = if rare {
+        (beside.len() as f64 * measured.time_s() / simulated.time_s()).max(1.0)
     } else {
-        found.len() as f64
+        trains.len() as f64
     };
+    trains.resize(trains.len().max(scans.round() as usize), Train::default());
     let present = times.visits.map_or(times.scan, |visits| visits.dwell);
-    let present_visits = times.scan.as_secs_f64() / present.as_secs_f64();
-    let visits = |found: Shape, beside: Shape| present_visits * found.visits / beside.visits;
-    let all = [
-        measured.shape(found.iter().copied(), scans),
-        simulated.shape(beside.iter().copied(), simulated_scans),
-    ];
-    let number = visits(all[0], all[1]);
-    let is_divided = times.visits.is_some() || number.round() > 1.0;
+    let number = |shape: Shape, scans: f64| shape.visits / scans;
+    let undivided = measured.shape(trains.iter().copied(), times.variation);
+    let is_divided = times.visits.is_some() || number(undivided, scans).round() > 1.0;
     // The variation is that of a whole scan.
     let [found_varies, beside_varies] =
         [is_divided, times.visits.is_some()].map(|divided| if divided { 0.0 } else { times.variation });
-    let duration = |found: Shape, beside: Shape| {
-        present.as_secs_f64() * 1e3 * duration_ms(found.mean_ms, spike_ms, found_varies)
-            / duration_ms(beside.mean_ms, spike_ms, beside_varies)
-    };
+    let duration =
+        |found: Shape, beside: Shape| present.as_secs_f64() * 1e3 * found.duration_ms / beside.duration_ms;
+    let all = [
+        measured.shape(trains.iter().copied(), found_varies),
+        simulated.shape(beside.iter().copied(), beside_varies),
+    ];
     let (mut durations, mut numbers) = (Vec::with_capacity(RESAMPLES), Vec::with_capacity(RESAMPLES));
     for _ in 0..RESAMPLES {
-        let [found, beside] = [(measured, scans), (simulated, simulated_scans)].map(|(walk, scans)| {
-            let trains = &walk.trains;
-            walk.shape((0..trains.len()).map(|_| trains[draws.below(trains.len())]), scans)
-        });
-        durations.push(duration(found, beside));
-        numbers.push(visits(found, beside));
+        let resampled = |of: &[Train], draws: &mut Draws| -> Vec<Train> {
+            (FEWER..of.len()).map(|_| of[draws.below(of.len())]).collect()
+        };
+        let of_found = resampled(&trains, draws);
+        let of_beside = resampled(beside, draws);
+        // Walks of the same length differ by a scan at their ends.
+        let more = if rare { draws.unit() - 0.5 } else { 0.0 };
+        if of_found.iter().all(|train| train.spikes == 0.0) {
+            continue;
+        }
+        let part = of_found.len() as f64 / trains.len() as f64;
+        let found = measured.shape(of_found.into_iter(), found_varies);
+        durations.push(duration(found, simulated.shape(of_beside.into_iter(), beside_varies)));
+        numbers.push(number(found, (scans + more) * part));
     }
     Ok(ScanFit {
-        scans: found.len(),
+        scans: trains.iter().filter(|train| train.spikes > 0.0).count(),
         scan_ms: Estimate::around(duration(all[0], all[1]), &mut durations),
-        visits: is_divided.then(|| Estimate::around(number, &mut numbers)),
+        visits: is_divided.then(|| Estimate::around(number(all[0], scans), &mut numbers)),
         share: share(measured, draws),
         simulated_share: simulated.share(),
     })
@@ -209,14 +280,6 @@ pub(super) fn setting(fit: &ScanFit, times: &HandoverTimes) -> String {
     format!("{{ channels: {channels}, dwell: {ms:.2} ms, away: {away_ms:.2} ms, back: {back_ms:.2} ms }}")
 }
 
-/// Returns the mean duration of scans that vary uniformly by up to a share, if samples that are later than `spike_ms` are
-/// `mean_ms` late on average.
-fn duration_ms(mean_ms: f64, spike_ms: f64, variation: f64) -> f64 {
-    let a = 1.0 + variation * variation / 3.0;
-    let inside = mean_ms * mean_ms - a * spike_ms * (2.0 * mean_ms - spike_ms);
-    (mean_ms + inside.max(0.0).sqrt()) / a
-}
-
 /// Returns the share of samples in spikes.
 fn share(walk: &Spikes, draws: &mut Draws) -> Estimate {
     let series: Vec<_> = walk.samples.iter().map(|late| f64::from(u8::from(walk.is_spike(late)))).collect();
@@ -233,15 +296,51 @@ fn share(walk: &Spikes, draws: &mut Draws) -> Estimate {
 mod tests {
     use super::*;
 
+    fn at_once() -> Vec<Answers> {
+        vec![Answers { samples: 1.0, after_ms: 0.0 }]
+    }
+
+    /// Counts samples each 0.01 ms, from before a visit until its end.
     #[test]
-    fn the_mean_lateness_gives_the_duration_back() {
-        for (duration, variation) in [(110.0, 0.0), (110.0, 0.25), (250.0, 0.5)] {
+    fn the_height_and_the_number_of_spikes_give_the_visit_back() {
+        for (duration, after) in [(110, 0.0), (110, 25.0), (60, 15.0), (60, 30.0)] {
             let spike = 40.0;
-            let squares = duration * duration * (1.0 + variation * variation / 3.0);
-            let mean = (squares - spike * spike) / (2.0 * (duration - spike));
-            let found = duration_ms(mean, spike, variation);
-            assert!((found - duration).abs() < 1e-9, "{found} {duration}");
+            let samples = (-5_000..duration * 100).map(|i| f64::from(i) / 100.0);
+            let duration = f64::from(duration);
+            let held = |at_ms: f64| if (0.0..duration).contains(&at_ms) { duration - at_ms } else { 0.0 };
+            let heights = samples.map(|at_ms| if at_ms >= 0.0 { held(at_ms) } else { held(at_ms + after) });
+            let heights: Vec<_> = heights.filter(|height| *height > spike).collect();
+            let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+            let answers = vec![Answers { samples: 7.0, after_ms: after }];
+            let walk = Spikes::of(Vec::new(), spike, answers);
+            let found = walk.duration_ms(mean, 0.0);
+            assert!((found - duration).abs() < 0.05, "{found} {duration} {after}");
+            let (visible, _) = walk.of_visit(found, 0.0);
+            assert!((visible - heights.len() as f64 / 100.0).abs() < 0.1, "{visible} {duration} {after}");
         }
+    }
+
+    #[test]
+    fn scans_that_vary_have_the_same_mean() {
+        let walk = Spikes::of(Vec::new(), 40.0, at_once());
+        for (duration, variation) in [(110.0, 0.25), (250.0, 0.5)] {
+            let squares = duration * duration * (1.0 + variation * variation / 3.0);
+            let mean = (squares - 1600.0) / (2.0 * (duration - 40.0));
+            let found = walk.duration_ms(mean, variation);
+            assert!((found - duration).abs() < 1e-6, "{found} {duration}");
+        }
+    }
+
+    #[test]
+    fn late_samples_alone_are_of_no_scan_beside_trains() {
+        let late = |i: u32| if i % 400 < 30 || i % 400 == 200 { 60.0 } else { 0.0 };
+        let samples = (0..4000).map(|i| Late { at_s: f64::from(i) / 20.0, late_ms: late(i) });
+        let walk = Spikes::of(samples.collect(), 40.0, at_once());
+        assert_eq!((walk.trains.len(), walk.scans().len()), (20, 10));
+        let alone = (0..4000).map(|i| Late { at_s: f64::from(i) / 20.0, late_ms: late(i + 30) });
+        let alone: Vec<_> = alone.filter(|late| late.at_s < 18.0).collect();
+        let walk = Spikes::of(alone, 40.0, at_once());
+        assert_eq!(walk.trains, walk.scans());
     }
 
     #[test]
@@ -251,7 +350,7 @@ mod tests {
             _ => f64::from(i % 5),
         };
         let samples = (0..1000).map(|i| Late { at_s: f64::from(i) / 20.0, late_ms: late(i) });
-        let walk = Spikes::of(samples.collect(), 40.0);
+        let walk = Spikes::of(samples.collect(), 40.0, at_once());
         let trains: Vec<_> = walk.trains.iter().map(|train| (train.spikes, train.late_ms)).collect();
         assert_eq!(trains, [(3.0, 180.0), (1.0, 60.0), (1.0, 60.0)]);
         let in_scans = [4.4, 4.6, 5.5, 5.7, 15.0, 20.0].map(|at_s| walk.is_in_scan(at_s));

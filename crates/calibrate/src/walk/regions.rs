@@ -66,16 +66,21 @@ impl<'a> Visits<'a> {
         aligned
     }
 
+    /// Returns the region at a time; `None` before and after the walk.
+    pub fn at(&self, at_s: f64) -> Option<&'a Region> {
+        let next = self.visits.partition_point(|(from_s, _)| *from_s <= at_s);
+        let (_, region) = self.visits.get(next.checked_sub(1)?)?;
+        (at_s <= self.end_s + AROUND_CHANGE_S).then_some(*region)
+    }
+
     /// Returns the region at a time; `None` near a change of region, and after the walk.
     pub fn settled(&self, at_s: f64) -> Option<&'a Region> {
+        let region = self.at(at_s)?;
         let next = self.visits.partition_point(|(from_s, _)| *from_s <= at_s);
-        let (from_s, region) = self.visits.get(next.checked_sub(1)?)?;
+        let from_s = self.visits[next - 1].0;
         let is_after = next == 1 || at_s >= from_s + AROUND_CHANGE_S;
-        let is_before = match self.visits.get(next) {
-            Some((to_s, _)) => at_s <= to_s - AROUND_CHANGE_S,
-            None => at_s <= self.end_s + AROUND_CHANGE_S,
-        };
-        (is_after && is_before).then_some(*region)
+        let is_before = self.visits.get(next).is_none_or(|(to_s, _)| at_s <= to_s - AROUND_CHANGE_S);
+        (is_after && is_before).then_some(region)
     }
 
     /// Returns all regions, each once or more.
@@ -108,6 +113,11 @@ mod tests {
         let unit = |at_s| visits.settled(at_s).map(|region| region.radio_unit.as_str());
         assert_eq!([0.0, 18.0, 18.1, 21.9].map(unit), [Some("R1"), Some("R1"), None, None]);
         assert_eq!([22.0, 39.0, 41.0, 41.1].map(unit), [Some("R2"), Some("R2"), Some("R2"), None]);
+        let unit = |at_s| visits.at(at_s).map(|region| region.radio_unit.as_str());
+        assert_eq!(
+            [-0.1, 0.0, 19.9, 20.0, 41.0, 41.1].map(unit),
+            [None, Some("R1"), Some("R1"), Some("R2"), Some("R2"), None]
+        );
         assert_eq!(visits.regions().count(), 2);
         assert_eq!(Visits::of(&[]).settled(1.0), None);
     }

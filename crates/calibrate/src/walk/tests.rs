@@ -71,16 +71,23 @@ impl Site {
                 let in_second = usize::from(at_s >= 100.0);
                 let usual = self.usual_ms[in_second];
                 let jitter = self.deviation_ms[in_second] * jitter::draw(self.distribution, draws);
-                let since = at_s * 1e3 % self.scan_every_ms;
-                let visit = since / (self.scan_ms + 200.0);
-                let is_scanning = at_s * 1e3 > self.scan_every_ms - 317.0 && visit < self.visits;
-                let in_visit = since % (self.scan_ms + 200.0);
-                let held = if is_scanning { (self.scan_ms - in_visit).max(0.0) } else { 0.0 };
+                let request_ms = self.held_ms(at_s * 1e3);
+                // The air takes 1 ms in each direction.
+                let answer_ms = || self.held_ms(at_s * 1e3 + usual - 2.0);
+                let held = if request_ms > 0.0 { request_ms } else { answer_ms() };
                 let ms = Some((usual + jitter + held).max(0.1));
                 let region = Some(region(["R1", "R2"][in_second]));
                 SimulatedSample { sample: WalkSample { at_s, ms }, region }
             })
             .collect()
+    }
+
+    /// Returns how long a frame is held that comes at this time, ms.
+    fn held_ms(&self, at_ms: f64) -> f64 {
+        let since = at_ms % self.scan_every_ms;
+        let is_scanning = at_ms > self.scan_every_ms - 317.0 && since / (self.scan_ms + 200.0) < self.visits;
+        let in_visit = since % (self.scan_ms + 200.0);
+        if is_scanning { (self.scan_ms - in_visit).max(0.0) } else { 0.0 }
     }
 
     fn measured(&self, seed: u64) -> Vec<WalkSample> {
@@ -167,6 +174,33 @@ fn visits_are_counted_by_rare_samples_if_scans_are_as_frequent_as_simulated() {
     let fit = fit_to(&testbed(TESTBED), &simulated, &measured);
     let scan = fit.scan.unwrap();
     assert!((15.0..33.0).contains(&scan.visits.unwrap().value), "{scan:?}");
+}
+
+/// The robot changes its radio unit after each scan, as with the plug-in `probing` where each scan finds a stronger one.
+#[test]
+fn scans_right_before_changes_of_region_count_by_rare_samples() {
+    let site = Site { usual_ms: [10.0; 2], scan_every_ms: 20_317.0, ..DIVIDED };
+    // A scan of one visit ends at its end, and one of 24 visits after 7.3 s.
+    let changing = |site: Site, seed| {
+        let mut walk = site.walk(seed);
+        let lasts_s = (site.visits * (site.scan_ms + 200.0) - 200.0) / 1e3;
+        for its in &mut walk {
+            let scans = ((its.sample.at_s - lasts_s) * 1e3 / site.scan_every_ms).floor();
+            its.region = Some(region(["R1", "R2"][usize::from(scans.max(0.0) % 2.0 > 0.0)]));
+        }
+        walk
+    };
+    let simulated = changing(Site { visits: 1.0, scan_ms: 100.0, ..site }, 1);
+    let fits = (2..7).map(|seed| {
+        let measured: Vec<_> = changing(site, seed).into_iter().map(|its| its.sample).collect();
+        // Each 19th sample, so that they are at all times of the visits.
+        let rare: Vec<_> = measured.into_iter().skip(seed as usize).step_by(19).collect();
+        fit_to(&testbed(TESTBED), &simulated, &rare).scan.unwrap().visits.unwrap()
+    });
+    let visits: Vec<_> = fits.collect();
+    let mean = visits.iter().map(|its| its.value).sum::<f64>() / visits.len() as f64;
+    assert!((mean - 24.0).abs() < 4.0, "{visits:?}");
+    assert!(visits.iter().filter(|its| its.covers(24.0)).count() >= 4, "{visits:?}");
 }
 
 #[test]
