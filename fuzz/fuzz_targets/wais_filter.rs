@@ -1,7 +1,7 @@
 //! No filter or request makes a reader panic, and what is read is written as what reads the same.
 #![no_main]
 
-use cotorra_mec::{Filter, Query};
+use cotorra_mec::{Filter, Query, Subscribed as _};
 use cotorra_wais::{
     Kind,
     requests::{MeasurementConfig, Subscription},

@@ -1,33 +1,52 @@
 //! Common parts of the service APIs of ETSI MEC (ETSI GS MEC 009): queries with filters and selectors of attributes,
 //! problem details, and notifications to subscribers.
 //!
-//! A service keeps an [`Outbox`] for each subscription, and decides what goes into it. A [`Delivery`] sends the
-//! notifications of services, each of which is a [`Notifier`]. [`Outbox`], [`Callback`] and [`Query`] have neither a clock
-//! nor a socket.
+//! A [`Machine`] is the state machine of a service. It holds [`Subscriptions`], and composes their notifications. A
+//! [`Service`] serves it over HTTP and WebSockets. A [`Delivery`] sends the notifications of services, each of which is a
+//! [`Notifier`]. [`Subscriptions`], [`Outbox`], [`Callback`] and [`Query`] have neither a clock nor a socket.
 #![forbid(unsafe_code)]
 
+mod answer;
 mod attributes;
 mod callback;
+mod conditional;
 mod delivery;
+mod extract;
 mod filter;
+mod geodesy;
 mod limiter;
 mod outbox;
 mod problem;
 mod query;
 mod request;
+mod scope;
 mod selector;
+mod service;
+mod sockets;
+mod subscribing;
+mod subscriptions;
 #[cfg(test)]
 mod testing;
 mod time;
+mod websocket;
 
+pub use answer::{changed, created, json, router, shown, tagged};
 pub use attributes::{Attribute, Kind};
 pub use callback::{Allowed, Callback, CallbackError};
 pub use delivery::{Delivery, Dispatch, Notifier, Task, deliver, post, resolve};
+pub use extract::{Base, Id, Json, if_match};
 pub use filter::{Filter, FilterError};
+pub use geodesy::{to_earth, to_map, to_north};
 pub use limiter::{Limiter, TooOften};
 pub use outbox::{Outbox, Outcome};
-pub use problem::{Problem, ProblemDetails};
+pub use problem::{ChangeProblems, Problem, ProblemDetails, RequestProblems};
 pub use query::{Query, QueryError};
 pub use request::{Parameters, authority};
+pub use scope::Scope;
 pub use selector::SelectorError;
+pub use service::{Machine, Service, Testbed};
+pub use subscribing::{
+    InvalidRequest, LinkType, MOST, Notifying, RequestError, Resource, SelfLink, WebsockNotifConfig, read,
+};
+pub use subscriptions::{Subscribed, Subscriptions, Target, check_unchanged, etag};
 pub use time::{Epoch, TimeStamp};

@@ -20,11 +20,10 @@ use std::{
 
 use axum::{Router, routing::get};
 use cotorra_graph::{Dbm, NodeId, RadioContext, StationContext, Timestamp};
-use cotorra_mec::Allowed;
+use cotorra_mec::{Allowed, Epoch, Testbed};
 use cotorra_wais::{
-    Scope, Site, Survey,
-    http::{Service, Testbed},
-    types::Epoch,
+    Scope, Site, Survey, Wais,
+    http::{Service, router},
 };
 use hdrhistogram::Histogram;
 
@@ -38,7 +37,7 @@ struct Campus {
     radio: BTreeMap<NodeId, RadioContext>,
 }
 
-impl Testbed for Campus {
+impl Testbed<Wais> for Campus {
     fn now(&self) -> Timestamp {
         Timestamp::ZERO + self.began.elapsed()
     }
@@ -84,10 +83,14 @@ fn serve() -> SocketAddr {
     });
     let campus = Arc::new(Campus { began: Instant::now(), radio: radio.collect() });
     let site = Site::new(&testbed.graph, &testbed.wais, &Scope::Testbed);
-    let service =
-        Service::new(campus, site, Epoch::default(), Allowed::new([]).and_loopback(), "/wai/v2".to_owned());
+    let service = Service::new(
+        campus,
+        Wais::new(Arc::new(site), Epoch::default()),
+        Allowed::new([]).and_loopback(),
+        "/wai/v2".to_owned(),
+    );
     let cpu = || async { std::fs::read_to_string("/proc/thread-self/schedstat").unwrap() };
-    let app = Router::new().nest("/wai/v2", service.router()).route("/cpu", get(cpu));
+    let app = Router::new().nest("/wai/v2", router(&service)).route("/cpu", get(cpu));
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();

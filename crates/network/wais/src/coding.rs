@@ -1,6 +1,7 @@
 //! Encodes figures for answers: radio figures by IEEE 802.11-2016, places by RFC 6225.
 
 use cotorra_graph::{Band, Dbm, GeoOrigin, Position, WifiStandard};
+use cotorra_mec::to_earth;
 
 use crate::types::GeoLocation;
 
@@ -46,23 +47,15 @@ pub(crate) fn phy_type(standard: WifiStandard) -> u8 {
     }
 }
 
-/// Metres per degree of latitude: the mean meridian of WGS 84.
-const METRES_A_DEGREE: f64 = 111_195.0;
-
 /// Converts a place on the map to a place on Earth. It uses the plane tangent to Earth at the map's origin, which is
 /// accurate to centimetres over the size of a campus.
 pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
-    let (sin, cos) = origin.bearing.sin_cos();
-    let north_m = place.y * cos - place.x * sin;
-    let east_m = place.y * sin + place.x * cos;
-    let latitude = origin.latitude + north_m / METRES_A_DEGREE;
-    let longitude = origin.longitude + east_m / (METRES_A_DEGREE * origin.latitude.to_radians().cos());
+    let (latitude, longitude) = to_earth(origin, place);
     GeoLocation {
         lat_uncertainty: 0,
-        lat: fixed_point(latitude.clamp(-90.0, 90.0)),
+        lat: fixed_point(latitude),
         long_uncertainty: 0,
-        // At a pole every longitude is valid.
-        long: fixed_point(if longitude.is_finite() { longitude.clamp(-180.0, 180.0) } else { 0.0 }),
+        long: fixed_point(longitude),
         datum: 1,
         altitude_type: origin.altitude.map(|_| 1),
         altitude_uncertainty: origin.altitude.map(|_| 0),
@@ -113,7 +106,7 @@ mod tests {
         let origin = GeoOrigin { latitude: -33.5, longitude: 151.25, bearing: 0.0, altitude: None };
         let there = geolocation(&origin, Position::new(0.0, 0.0));
         assert_eq!((degrees(there.lat), degrees(there.long), there.datum), (-33.5, 151.25, 1));
-        let north = geolocation(&origin, Position::new(0.0, METRES_A_DEGREE / 100.0));
+        let north = geolocation(&origin, Position::new(0.0, 1111.95));
         assert!((degrees(north.lat) + 33.49).abs() < 1e-6);
         // With the y axis to the east, up on the map is east.
         let turned = GeoOrigin { bearing: std::f64::consts::FRAC_PI_2, ..origin };

@@ -7,11 +7,11 @@
 
 mod attributes;
 mod coding;
-mod conditional;
 pub mod http;
 mod measurement;
 mod notification;
 pub mod requests;
+mod subscribed;
 mod survey;
 #[cfg(test)]
 mod testing;
@@ -22,4 +22,4 @@ mod wais;
 pub use notification::Notification;
 pub use survey::{Scope, Site, Survey};
 pub use view::{Answer, Kind};
-pub use wais::{RequestError, Resource, Target, Wais};
+pub use wais::Wais;

@@ -100,7 +100,7 @@ fn to(href: &str) -> ToSubscription {
 
 /// Schedule of a subscription's notifications.
 #[derive(Debug, Default)]
-pub(crate) struct Schedule {
+pub struct Schedule {
     /// Interval between notifications. Without one, they are sent when a threshold is reached.
     period: Option<Duration>,
     next: Timestamp,

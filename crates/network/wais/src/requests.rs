@@ -3,9 +3,11 @@
 
 use std::sync::Arc;
 
+use cotorra_mec::read;
+pub use cotorra_mec::{InvalidRequest, Notifying, WebsockNotifConfig};
 use serde::{Deserialize, Serialize};
 
-use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity, TimeStamp};
+use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity};
 
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(tag = "subscriptionType")]
@@ -16,46 +18,6 @@ pub enum Subscription {
     StaDataRateSubscription(StaDataRateSubscription),
     /// Reports of a measurement.
     MeasurementReportSubscription(MeasurementReportSubscription),
-}
-
-/// Target and end of a subscription.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "camelCase")]
-pub struct Notifying {
-    /// URI for notifications: `http://host:port/path`, on a network that the operator allows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(format = "uri", nullable = false)]
-    pub callback_reference: Option<String>,
-    /// Request a `TestNotification` first.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub request_test_notification: Option<bool>,
-    /// Request a WebSocket instead of a callback; takes precedence over one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub websock_notif_config: Option<WebsockNotifConfig>,
-    /// Set by the service.
-    #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub links: Option<SelfLink>,
-    /// End of the subscription, at most a day ahead. Without it, the subscription ends with the run.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub expiry_deadline: Option<TimeStamp>,
-}
-
-/// A WebSocket for notifications (6.5.42).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "camelCase")]
-pub struct WebsockNotifConfig {
-    /// URI to connect to; set by the service.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(format = "uri", nullable = false)]
-    pub websocket_uri: Option<String>,
-    /// Whether to provide a WebSocket.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub request_websocket_uri: Option<bool>,
 }
 
 /// Subscription to the stations associated with an access point (6.3.2): periodically, at a threshold, or
@@ -334,19 +296,8 @@ pub struct ToSubscription {
     pub subscription: LinkType,
 }
 
-/// A request that cannot be met.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum InvalidRequest {
-    /// The request is incomplete or contradictory.
-    #[error("{0}")]
-    Malformed(String),
-    /// The request is valid, but the testbed lacks the data.
-    #[error("{0}")]
-    Unsupported(&'static str),
-}
-
 fn malformed<T>(what: impl Into<String>) -> Result<T, InvalidRequest> {
-    Err(InvalidRequest::Malformed(what.into()))
+    InvalidRequest::malformed(what)
 }
 
 impl Subscription {
@@ -372,37 +323,8 @@ impl Subscription {
         }
     }
 
-    /// Returns the name of its type.
-    pub fn type_name(&self) -> &'static str {
-        match self {
-            Self::AssocStaSubscription(_) => "AssocStaSubscription",
-            Self::StaDataRateSubscription(_) => "StaDataRateSubscription",
-            Self::MeasurementReportSubscription(_) => "MeasurementReportSubscription",
-        }
-    }
-
-    /// Returns the target and end of its notifications.
-    pub fn notifying(&self) -> &Notifying {
-        match self {
-            Self::AssocStaSubscription(s) => &s.notifying,
-            Self::StaDataRateSubscription(s) => &s.notifying,
-            Self::MeasurementReportSubscription(s) => &s.notifying,
-        }
-    }
-
-    pub(crate) fn notifying_mut(&mut self) -> &mut Notifying {
-        match self {
-            Self::AssocStaSubscription(s) => &mut s.notifying,
-            Self::StaDataRateSubscription(s) => &mut s.notifying,
-            Self::MeasurementReportSubscription(s) => &mut s.notifying,
-        }
-    }
-
     /// Checks constraints that the types do not express.
-    ///
-    /// # Errors
-    /// [`InvalidRequest`].
-    pub fn check(&self) -> Result<(), InvalidRequest> {
+    pub(crate) fn check_constraints(&self) -> Result<(), InvalidRequest> {
         let when = |period: Option<u8>, event: bool| match (period, event) {
             (Some(0), _) => malformed("notificationPeriod must be at least 1 second"),
             (None, false) => malformed("one of notificationPeriod and notificationEvent is needed"),
@@ -502,16 +424,6 @@ impl MeasurementInfo {
 
 fn check_stations(stations: &[StaIdentity]) -> Result<(), InvalidRequest> {
     if stations.is_empty() { malformed("staId must name at least one station") } else { Ok(()) }
-}
-
-fn read<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, InvalidRequest> {
-    let mut json = serde_json::Deserializer::from_slice(body);
-    let read = serde_path_to_error::deserialize(&mut json);
-    read.or_else(|error| match error.path().to_string() {
-        path if path == "." => malformed(error.inner().to_string()),
-        path => malformed(format!("{path}: {}", error.inner())),
-    })
-    .and_then(|value| json.end().map(|()| value).or_else(|error| malformed(error.to_string())))
 }
 
 #[cfg(test)]

@@ -7,23 +7,15 @@ use std::{
 };
 
 use cotorra_graph::{
-    BitRate, Dbm, Direction, DomainId, HardwareGraph, HostAddress, LinkContext, LinkId, NodeId, NodeKind,
-    RadioContext, Rate, RobotContext, Timestamp, WaisSettings, WifiStandard,
+    BitRate, Dbm, Direction, HardwareGraph, HostAddress, LinkContext, LinkId, NodeId, NodeKind, RadioContext,
+    Rate, RobotContext, Timestamp, WaisSettings, WifiStandard,
 };
+pub use cotorra_mec::Scope;
 
 use crate::{
     coding::{geolocation, operating_class, share},
     types::{ApIdentity, ApLocation, Mac, StaIdentity, WanMetrics},
 };
-
-/// Radio units covered by a service.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Scope {
-    /// The whole testbed.
-    Testbed,
-    /// One domain's, with the stations associated with them.
-    Domain(DomainId),
-}
 
 /// The fixed part: radio units and stations, and their identities.
 #[derive(Debug)]
@@ -133,7 +125,7 @@ impl Site {
                         fast_transition: network.fast_transition,
                         noise_floor: network.noise_floor,
                         location: location.map(|geolocation| ApLocation { geolocation }),
-                        served: *scope == Scope::Testbed || *scope == Scope::Domain(node.domain.clone()),
+                        served: scope.covers(&node.domain),
                         uplink,
                     });
                 }

@@ -3,7 +3,7 @@
 
 use std::{fmt, str::FromStr, sync::Arc};
 
-pub use cotorra_mec::{Epoch, TimeStamp};
+pub use cotorra_mec::{Epoch, LinkType, SelfLink, TimeStamp};
 use serde::{Deserialize, Serialize};
 
 /// A MAC address, written in lower case with colons.
@@ -54,26 +54,6 @@ impl fmt::Display for Mac {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [a, b, c, d, e, g] = self.0;
         write!(f, "{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{g:02x}")
-    }
-}
-
-/// A link to a resource (6.5.23).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct LinkType {
-    #[schema(format = "uri")]
-    pub href: String,
-}
-
-/// The link to the resource itself.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct SelfLink {
-    #[serde(rename = "self")]
-    pub itself: LinkType,
-}
-
-impl SelfLink {
-    pub(crate) fn to(href: String) -> Self {
-        Self { itself: LinkType { href } }
     }
 }
 

@@ -13,6 +13,7 @@ mod document;
 mod editor;
 mod map;
 mod measurements;
+mod mec;
 mod page;
 mod routes;
 mod sensors;
@@ -24,7 +25,6 @@ mod tls;
 mod token;
 mod turns;
 mod types;
-mod wais;
 
 use std::{
     io::ErrorKind,
@@ -297,7 +297,7 @@ impl Server {
         let (open, opened) = oneshot::channel();
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
-        let (wais, mut senders) = wais::serve(&context, gate.clone());
+        let (mec, mut senders) = mec::serve(&context, gate.clone());
         let (lifecycle, more) = applications::serve(&context, gate.clone());
         senders.extend(more);
         let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
@@ -314,7 +314,7 @@ impl Server {
             .merge(page::routes(cotorra_dashboard::files()))
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
             .with_state(context)
-            .merge(wais)
+            .merge(mec)
             .merge(lifecycle)
             .layer(middleware::from_fn(serve::attend));
         let thread = std::thread::Builder::new()

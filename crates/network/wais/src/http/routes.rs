@@ -2,21 +2,17 @@
 
 use axum::{
     extract::State,
-    http::{HeaderMap, StatusCode, header},
+    http::{HeaderMap, StatusCode},
     response::{IntoResponse, Response},
 };
-use cotorra_mec::{Parameters, Problem, Query};
-use serde::Serialize;
-
-use super::{
-    Service,
-    extract::{Base, Id, Json, if_match, text},
+use cotorra_mec::{
+    Base, Id, Json, Parameters, Problem, Query, changed, created, if_match, json, shown, tagged,
 };
+
+use super::Service;
 use crate::{
-    conditional::is_known,
     requests::{MeasurementConfig, Subscription},
     view::Kind,
-    wais::Resource,
 };
 
 type Answer = Result<Response, Problem>;
@@ -46,40 +42,10 @@ fn query(of: Kind, service: &Service, headers: &HeaderMap, parameters: &[(String
     Ok(tagged(headers, answer.etag, answer.body))
 }
 
-/// Answers with JSON and its entity tag, or with 304 if the requester has it already.
-fn tagged(headers: &HeaderMap, etag: String, body: impl Into<axum::body::Body>) -> Response {
-    if is_known(text(headers, header::IF_NONE_MATCH), &etag) {
-        return (StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response();
-    }
-    let head = [(header::ETAG, etag), (header::CONTENT_TYPE, "application/json".to_owned())];
-    (head, body.into()).into_response()
-}
-
-fn json(value: &impl Serialize) -> String {
-    serde_json::to_string(value).expect("these types hold only what JSON can")
-}
-
-fn created<T: Serialize>(resource: &Resource<T>) -> Response {
-    let head = [
-        (header::LOCATION, resource.href.clone()),
-        (header::ETAG, resource.etag.clone()),
-        (header::CONTENT_TYPE, "application/json".to_owned()),
-    ];
-    (StatusCode::CREATED, head, json(&resource.value)).into_response()
-}
-
-fn shown<T: Serialize>(headers: &HeaderMap, resource: &Resource<T>) -> Response {
-    tagged(headers, resource.etag.clone(), json(&resource.value))
-}
-
-fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
-    shown(&HeaderMap::new(), resource)
-}
-
 /// Access points and their state.
 #[utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "access points", body = Vec<crate::types::ApInfo>), (status = 304, description = "as known already"), super::problem::RequestProblems))]
+    responses((status = 200, description = "access points", body = Vec<crate::types::ApInfo>), (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -91,7 +57,7 @@ pub(super) async fn ap_information(
 /// Associated stations and their state.
 #[utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "stations", body = Vec<crate::types::StaInfo>), (status = 304, description = "as known already"), super::problem::RequestProblems))]
+    responses((status = 200, description = "stations", body = Vec<crate::types::StaInfo>), (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -110,7 +76,7 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 /// Links to subscriptions.
 #[utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, description = "links to subscriptions", body = crate::requests::SubscriptionLinkList), super::problem::RequestProblems))]
+    responses((status = 200, description = "links to subscriptions", body = crate::requests::SubscriptionLinkList), cotorra_mec::RequestProblems))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -126,18 +92,18 @@ pub(super) async fn subscriptions(
         }
         _ => return Err(Problem::bad_request("the only parameter is `subscription_type`, given once")),
     };
-    let list = service.with(|wais| wais.subscriptions(&base, type_name));
-    Ok(([(header::CONTENT_TYPE, "application/json")], json(&list)).into_response())
+    let list = service.with(|wais| wais.subscription_links(&base, type_name));
+    Ok(json(&list))
 }
 
 /// Subscribe to notifications.
 #[utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
     request_body = Subscription,
     responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        super::problem::RequestProblems, super::problem::ChangeProblems))]
+        cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
-    service.check_callback(&subscription).await?;
+    service.check(&subscription).await?;
     let now = service.now();
     let resource = service.with(|wais| wais.subscribe(now, &base, subscription))?;
     service.wake();
@@ -148,7 +114,7 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 #[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), super::problem::RequestProblems))]
+        (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
 pub(super) async fn subscription(
     State(service): State<Service>,
     Base(base): Base,
@@ -162,7 +128,7 @@ pub(super) async fn subscription(
 #[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), super::problem::RequestProblems, super::problem::ChangeProblems))]
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -172,7 +138,7 @@ pub(super) async fn resubscribe(
 ) -> Answer {
     service.with(|wais| wais.subscription(&base, &id))?;
     let subscription = Subscription::read(&body)?;
-    service.check_callback(&subscription).await?;
+    service.check(&subscription).await?;
     let now = service.now();
     let resource =
         service.with(|wais| wais.resubscribe(now, &base, &id, if_match(&headers), subscription))?;
@@ -183,7 +149,7 @@ pub(super) async fn resubscribe(
 /// End a subscription.
 #[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), super::problem::RequestProblems, super::problem::ChangeProblems))]
+    responses((status = 204, description = "it has ended"), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
@@ -193,7 +159,7 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 
 /// Links to measurement configurations.
 #[utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, description = "links to measurement configurations", body = crate::requests::MeasurementConfigLinkList), super::problem::RequestProblems))]
+    responses((status = 200, description = "links to measurement configurations", body = crate::requests::MeasurementConfigLinkList), cotorra_mec::RequestProblems))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -203,14 +169,14 @@ pub(super) async fn measurements(
         return Err(Problem::bad_request("there are no parameters"));
     }
     let list = service.with(|wais| wais.measurements(&base));
-    Ok(([(header::CONTENT_TYPE, "application/json")], json(&list)).into_response())
+    Ok(json(&list))
 }
 
 /// Configure a measurement. Its reports are included in station information from then on.
 #[utoipa::path(post, path = "/measurements", tag = "measurements",
     request_body = MeasurementConfig,
     responses((status = 201, description = "the configuration", body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
-        super::problem::RequestProblems, super::problem::ChangeProblems))]
+        cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
     let now = service.now();
@@ -221,7 +187,7 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 #[utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), super::problem::RequestProblems))]
+        (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
 pub(super) async fn measurement(
     State(service): State<Service>,
     Base(base): Base,
@@ -235,7 +201,7 @@ pub(super) async fn measurement(
 #[utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), super::problem::RequestProblems, super::problem::ChangeProblems))]
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,
@@ -253,7 +219,7 @@ pub(super) async fn reconfigure(
 /// End a measurement.
 #[utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), super::problem::RequestProblems, super::problem::ChangeProblems))]
+    responses((status = 204, description = "it has ended"), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
 pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;

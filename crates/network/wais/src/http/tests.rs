@@ -5,17 +5,24 @@ use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{SocketAddr, TcpListener, TcpStream},
     sync::{
+        Arc,
         atomic::{AtomicU64, Ordering},
         mpsc,
     },
+    time::Duration,
 };
 
-use cotorra_mec::{Delivery, deliver};
+use cotorra_graph::Timestamp;
+use cotorra_mec::{Allowed, Delivery, Epoch, Testbed, deliver};
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite;
 
 use super::*;
-use crate::{survey::Scope, testing};
+use crate::{
+    survey::{Scope, Site, Survey},
+    testing,
+};
 
 /// A testbed whose state never changes, at a time set by the test or advancing at each look.
 struct Still {
@@ -24,7 +31,7 @@ struct Still {
     told: Mutex<mpsc::Sender<String>>,
 }
 
-impl Testbed for Still {
+impl Testbed<Wais> for Still {
     fn now(&self) -> Timestamp {
         Timestamp::from_nanos(self.now.fetch_add(self.step.load(Ordering::SeqCst), Ordering::SeqCst))
     }
@@ -54,10 +61,10 @@ fn serve() -> Served {
     let testbed = Arc::new(Still { now: AtomicU64::new(0), step: AtomicU64::new(0), told: Mutex::new(tell) });
     let known = testing::testbed();
     let site = Site::new(&known.graph, &known.wais, &Scope::Testbed);
-    let as_dyn: Arc<dyn Testbed> = testbed.clone();
-    let service =
-        Service::new(as_dyn, site, Epoch::default(), Allowed::new([]).and_loopback(), "/wai/v2".to_owned());
-    let app = Router::new().nest("/wai/v2", service.router());
+    let as_dyn: Arc<dyn Testbed<Wais>> = testbed.clone();
+    let wais = Wais::new(Arc::new(site), Epoch::default());
+    let service = Service::new(as_dyn, wais, Allowed::new([]).and_loopback(), "/wai/v2".to_owned());
+    let app = Router::new().nest("/wai/v2", router(&service));
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();

@@ -11,7 +11,7 @@ fn subscription(change: impl Fn(&mut Value)) -> Result<Subscription, InvalidRequ
     });
     change(&mut body);
     let subscription = Subscription::read(body.to_string().as_bytes())?;
-    subscription.check().map(|()| subscription)
+    subscription.check_constraints().map(|()| subscription)
 }
 
 #[test]

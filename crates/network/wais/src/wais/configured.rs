@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use cotorra_graph::Timestamp;
+use cotorra_mec::{MOST, RequestError, Resource, check_unchanged, etag};
 
-use super::{MOST, RequestError, Resource, Wais, check_unchanged, etag};
+use super::Wais;
 use crate::{
     requests::{InvalidRequest, MeasurementConfig, MeasurementConfigLink, MeasurementConfigLinkList},
     types::SelfLink,
@@ -27,12 +28,12 @@ impl Wais {
         base: &str,
         config: MeasurementConfig,
     ) -> Result<Resource<MeasurementConfig>, RequestError> {
-        self.admit(now)?;
+        self.subscriptions.admit(now)?;
         self.check_config(None, &config)?;
         if self.configured.len() >= MOST {
             return Err(RequestError::Full);
         }
-        let (id, version) = (self.number(), self.number());
+        let (id, version) = (self.subscriptions.number(), self.subscriptions.number());
         self.configured.insert(id, Configured { config, version });
         self.listings.forget_stations();
         self.measurement(base, &id.to_string())
@@ -50,12 +51,12 @@ impl Wais {
         if_match: Option<&str>,
         config: MeasurementConfig,
     ) -> Result<Resource<MeasurementConfig>, RequestError> {
-        self.admit(now)?;
+        self.subscriptions.admit(now)?;
         let (number, configured) = self.find_config(id)?;
         let version = configured.version;
         self.check_config(Some(number), &config)?;
         check_unchanged(if_match, number, version)?;
-        let version = self.number();
+        let version = self.subscriptions.number();
         self.configured.insert(number, Configured { config, version });
         self.listings.forget_stations();
         self.measurement(base, id)
@@ -113,7 +114,7 @@ impl Wais {
         id: &str,
         if_match: Option<&str>,
     ) -> Result<(), RequestError> {
-        self.admit(now)?;
+        self.subscriptions.admit(now)?;
         let (number, configured) = self.find_config(id)?;
         check_unchanged(if_match, number, configured.version)?;
         self.configured.remove(&number);

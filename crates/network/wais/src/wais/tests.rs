@@ -1,6 +1,6 @@
 //! Tests queries, subscriptions and measurements in virtual time.
 
-use cotorra_mec::Attribute;
+use cotorra_mec::{Attribute, MOST, Outcome};
 use serde_json::{Value, json};
 
 use super::*;
@@ -71,10 +71,11 @@ impl Rig {
             for dispatch in dispatches {
                 let outcome = outcome(sent.len());
                 sent.push((self.now, serde_json::from_str(&dispatch.body).unwrap()));
-                self.wais.done(self.at(), dispatch.subscription, dispatch.attempt, outcome);
+                let at = self.at();
+                self.wais.subscriptions().done(at, dispatch.subscription, dispatch.attempt, outcome);
             }
             if idle {
-                let next = self.wais.next_deadline().map_or(f64::MAX, Timestamp::as_secs_f64);
+                let next = self.wais.subscriptions().next_deadline().map_or(f64::MAX, Timestamp::as_secs_f64);
                 if next > until {
                     self.now = until;
                     return sent;
@@ -166,7 +167,7 @@ fn periodic_notifications_end_with_their_subscription() {
     assert_eq!(rig.sent(22.0).iter().map(|(at, _)| *at).collect::<Vec<_>>(), [20.5, 22.0]);
     let id = made.href.rsplit('/').next().unwrap();
     rig.wais.unsubscribe(rig.at(), id, None).unwrap();
-    assert_eq!((rig.sent(100.0), rig.wais.next_deadline()), (vec![], None));
+    assert_eq!((rig.sent(100.0), rig.wais.subscriptions().next_deadline()), (vec![], None));
 }
 
 #[test]
@@ -336,7 +337,7 @@ fn dead_callbacks_lose_only_their_notifications_and_are_reported() {
     let sent = rig.sent_with(100.0, |_| Outcome::Failed("connection refused".to_owned()));
     let times: Vec<_> = sent.iter().map(|(at, _)| *at).collect();
     assert_eq!(times, [0.0, 0.5, 1.5, 3.5, 7.5], "five attempts, and then no more");
-    let complaints = rig.wais.take_complaints();
+    let complaints = rig.wais.subscriptions().take_complaints();
     assert_eq!(complaints.len(), 1);
     assert!(
         complaints[0].contains("/subscriptions/1: a notification was dropped after 5 attempts"),
@@ -351,12 +352,16 @@ fn dead_callbacks_lose_only_their_notifications_and_are_reported() {
         for dispatch in rig.wais.poll(rig.at()) {
             match dispatch.target {
                 Target::Callback(callback) if callback.port == 9 => hanging += 1,
-                _ => rig.wais.done(rig.at(), dispatch.subscription, dispatch.attempt, Outcome::Delivered),
+                _ => {
+                    let at = rig.at();
+                    let (id, attempt) = (dispatch.subscription, dispatch.attempt);
+                    rig.wais.subscriptions().done(at, id, attempt, Outcome::Delivered);
+                }
             }
         }
     }
     assert_eq!(hanging, 1, "it is called once until it answers");
-    let complaints = rig.wais.take_complaints();
+    let complaints = rig.wais.subscriptions().take_complaints();
     assert!(complaints[0].contains("64 notifications wait already"), "{complaints:?}");
 }
 
@@ -373,9 +378,9 @@ fn websockets_get_notifications_that_waited() {
     let uri = notifying.websock_notif_config.as_ref().unwrap().websocket_uri.as_deref();
     assert_eq!(uri, Some("ws://wais.lab/wai/v2/subscriptions/1/websocket"));
     assert_eq!(rig.sent(2.5), vec![], "no WebSocket is open");
-    rig.wais.set_websocket_open(1, true);
+    rig.wais.subscriptions().set_websocket_open(1, true);
     assert_eq!(rig.sent(2.5).len(), 3, "the test and two periods");
-    assert!(rig.wais.has_websocket(1) && !rig.wais.has_websocket(2));
+    assert!(rig.wais.subscriptions().has_websocket(1) && !rig.wais.subscriptions().has_websocket(2));
 }
 
 #[test]
@@ -385,9 +390,9 @@ fn lists_link_all_resources_up_to_the_limit() {
         rig.subscribe(&assoc(&json!({ "notificationPeriod": 1 })));
     }
     assert_eq!(rig.try_subscribe(&assoc(&json!({ "notificationPeriod": 1 }))), Err(RequestError::Full));
-    assert_eq!(rig.wais.subscriptions(BASE, None).subscription.len(), MOST);
-    assert_eq!(rig.wais.subscriptions(BASE, Some("AssocStaSubscription")).subscription.len(), MOST);
-    assert_eq!(rig.wais.subscriptions(BASE, Some("StaDataRateSubscription")).subscription.len(), 0);
+    assert_eq!(rig.wais.subscription_links(BASE, None).subscription.len(), MOST);
+    assert_eq!(rig.wais.subscription_links(BASE, Some("AssocStaSubscription")).subscription.len(), MOST);
+    assert_eq!(rig.wais.subscription_links(BASE, Some("StaDataRateSubscription")).subscription.len(), 0);
     let changes = (0..1000).map(|_| rig.wais.unsubscribe(rig.at(), "none", None));
     let refused: Vec<_> = changes.filter(|r| matches!(r, Err(RequestError::TooOften(_)))).collect();
     assert!(!refused.is_empty());

@@ -7,9 +7,12 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use bytes::Bytes;
-use cotorra_mec::Problem;
 
-use super::Service;
+use crate::{
+    problem::Problem,
+    request::authority,
+    service::{Machine, Service},
+};
 
 /// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
@@ -17,7 +20,7 @@ const LONGEST_BODY: usize = 64 * 1024;
 const LONGEST_URI: usize = 8000;
 
 /// Rejects requests with an overlong URI, and those that do not accept JSON.
-pub(super) async fn check(request: Request, next: Next) -> Response {
+pub(crate) async fn check(request: Request, next: Next) -> Response {
     let uri = request.uri();
     if uri.path_and_query().is_some_and(|asked| asked.as_str().len() > LONGEST_URI) {
         let detail = format!("path and query have at most {LONGEST_URI} bytes");
@@ -45,24 +48,24 @@ fn takes_json(headers: &HeaderMap) -> bool {
 }
 
 /// The URI under which the requester reaches the service.
-pub(super) struct Base(pub(super) String);
+pub struct Base(pub String);
 
-impl FromRequestParts<Service> for Base {
+impl<M: Machine> FromRequestParts<Service<M>> for Base {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
-        Ok(Self(format!("http://{}{}", cotorra_mec::authority(parts)?, service.prefix())))
+    async fn from_request_parts(parts: &mut Parts, service: &Service<M>) -> Result<Self, Problem> {
+        Ok(Self(format!("http://{}{}", authority(parts)?, service.prefix())))
     }
 }
 
 /// The last segment of a path.
-pub(super) struct Id(pub(super) String);
+pub struct Id(pub String);
 
-impl FromRequestParts<Service> for Id {
+impl<S: Send + Sync> FromRequestParts<S> for Id {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
-        match Path::from_request_parts(parts, service).await {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        match Path::from_request_parts(parts, state).await {
             Ok(Path(id)) => Ok(Self(id)),
             Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
         }
@@ -70,12 +73,12 @@ impl FromRequestParts<Service> for Id {
 }
 
 /// A body declared as JSON.
-pub(super) struct Json(pub(super) Bytes);
+pub struct Json(pub Bytes);
 
-impl FromRequest<Service> for Json {
+impl<S: Send + Sync> FromRequest<S> for Json {
     type Rejection = Problem;
 
-    async fn from_request(request: Request, _: &Service) -> Result<Self, Problem> {
+    async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
         let media = text(request.headers(), header::CONTENT_TYPE).unwrap_or_default();
         let media = media.split(';').next().unwrap_or_default().trim();
         if !media.eq_ignore_ascii_case("application/json") {
@@ -93,12 +96,12 @@ impl FromRequest<Service> for Json {
 }
 
 /// Returns a header's value, if it is ASCII text.
-pub(super) fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+pub(crate) fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
 /// Returns `If-Match`. An unreadable value becomes one that matches nothing.
-pub(super) fn if_match(headers: &HeaderMap) -> Option<&str> {
+pub fn if_match(headers: &HeaderMap) -> Option<&str> {
     headers.get(header::IF_MATCH).map(|value| value.to_str().unwrap_or_default())
 }
 
