@@ -286,8 +286,8 @@ pub(super) async fn check(
     Ok(next.run(admit(&gate, &place, request, |_| Ok(())).await?).await)
 }
 
-/// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai` a service is the
-/// operator's, and below `/domains/{name}` that domain's.
+/// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai` and `/location` a
+/// service is the operator's, and below `/domains/{name}` that domain's.
 pub(super) async fn check_mec(
     State(gate): State<Gate>,
     Extension(place): Extension<Arc<Place>>,
@@ -298,7 +298,7 @@ pub(super) async fn check_mec(
     let admitted = admit(&gate, &place, request, |caller| {
         match path.strip_prefix("/domains/").and_then(|rest| rest.split('/').next()) {
             Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain),
-            None if path.starts_with("/wai/") => caller.operator(),
+            None if path.starts_with("/wai/") || path.starts_with("/location/") => caller.operator(),
             None => Ok(()),
         }
     });

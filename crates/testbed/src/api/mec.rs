@@ -1,10 +1,12 @@
-//! Services of ETSI MEC: `/wai/v2`, the WLAN Access Information Service (ETSI GS MEC 028), for all of the testbed. Below
-//! `/domains/{name}` each domain has it for its own radio units.
+//! Services of ETSI MEC: `/wai/v2`, the WLAN Access Information Service (ETSI GS MEC 028), and `/location/v2`, the
+//! Location API (ETSI GS MEC 013), for all of the testbed. Below `/domains/{name}` each domain has both for its own radio
+//! units.
 
 use std::{sync::Arc, time::Duration};
 
 use axum::{Router, http::StatusCode, middleware, routing::get};
 use cotorra_graph::Timestamp;
+use cotorra_location::{self as location, Location};
 use cotorra_mec::{Machine, Problem, Scope, Service, Task, Testbed, deliver};
 use cotorra_wais::{self as wais, Wais};
 
@@ -28,6 +30,10 @@ pub(super) fn serve(context: &Context, gate: Gate) -> (Router, Vec<Task>) {
         let site = Arc::new(wais::Site::new(graph, settings, &scope));
         let service = of_scope(context, &scope, Wais::new(site, epoch), format!("{above}/wai/v2"));
         router = router.nest(service.prefix(), wais::http::router(&service));
+        tasks.push(deliver(service));
+        let site = Arc::new(location::Site::new(graph, &testbed.name, settings.origin, &scope));
+        let service = of_scope(context, &scope, Location::new(site, epoch), format!("{above}/location/v2"));
+        router = router.nest(service.prefix(), location::http::router(&service));
         tasks.push(deliver(service));
     }
     let no_domain =
@@ -69,6 +75,24 @@ impl Testbed<Wais> for ApiState {
 
     fn survey(&self, site: &Arc<wais::Site>) -> wais::Survey {
         self.0.live.read(|now| site.survey(now.radio_units_at, &now.radio_units, &now.robots, &now.links))
+    }
+
+    fn freshness(&self) -> Duration {
+        self.freshness()
+    }
+
+    fn tell(&self, message: String) {
+        self.0.tell(message);
+    }
+}
+
+impl Testbed<Location> for ApiState {
+    fn now(&self) -> Timestamp {
+        self.0.now()
+    }
+
+    fn survey(&self, site: &Arc<location::Site>) -> location::Survey {
+        self.0.live.read(|now| site.survey(now.at, &now.radio_units, &now.robots))
     }
 
     fn freshness(&self) -> Duration {

@@ -543,6 +543,9 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
         ("/wai/v2/queries/ap/ap_information", [200, 403, 403]),
         ("/domains/one/wai/v2/queries/ap/ap_information", [200, 200, 403]),
         ("/domains/two/wai/v2/queries/ap/ap_information", [200, 403, 200]),
+        ("/location/v2/queries/zones", [200, 403, 403]),
+        ("/domains/one/location/v2/queries/users", [200, 200, 403]),
+        ("/domains/two/location/v2/queries/zones", [200, 403, 200]),
     ] {
         assert_eq!(
             [OPERATOR, ONE, TWO].map(|token| served.ask(token, &format!("GET {path}"), "").0),
@@ -690,6 +693,43 @@ fn a_domain_has_notifications_posted_to_no_loopback_address() {
     assert!(said.contains(refused), "{said}");
     let said = subscribe(OPERATOR, "/wai/v2");
     assert!(!said.contains(refused), "{said}");
+}
+
+#[test]
+fn the_location_api_answers_and_rejects_as_its_standard_says() {
+    let served = Domains::serve();
+    let subscription = json!({ "userLocationPeriodicSubscription": {
+        "subscriptionType": "UserLocationPeriodicSubscription", "address": "acr:robot",
+        "periodicEventInfo": { "reportingAmount": 2, "reportingInterval": 1 },
+        "websockNotifConfig": { "requestWebsocketUri": true },
+    } })
+    .to_string();
+    for (request, body, expected, part) in [
+        ("GET /queries/zones", "", 200, "zoneList"),
+        ("GET /queries/users?address=acr:robot&address=acr:none", "", 200, "userList"),
+        ("GET /queries/users?name=robot", "", 400, "there are zoneId, accessPointId, address"),
+        ("GET /queries/zones/none?x=1", "", 400, "there are none"),
+        ("GET /queries/zones/none/accessPoints", "", 404, "no zone `none`"),
+        ("GET /queries/distance?address=acr:robot", "", 400, "two addresses"),
+        ("GET /queries/distance?address=acr:robot&latitude=91&longitude=2", "", 400, "from -90 to 90"),
+        ("GET /queries/distance?address=acr:none&address=acr:robot", "", 404, "acr:none"),
+        ("GET /subscriptions/zones?subscription_type=periodic", "", 400, "event or status"),
+        ("GET /subscriptions/area", "", 200, "notificationSubscriptionList"),
+        ("GET /subscriptions/area?address=acr:robot", "", 400, "no parameter `address`"),
+        ("POST /subscriptions/zones", &*subscription, 400, "belongs to subscriptions/users"),
+        ("POST /subscriptions/users", &subscription, 201, "/location/v2/subscriptions/users/1/websocket"),
+        ("GET /subscriptions/users?subscription_type=periodic", "", 200, "/subscriptions/users/1"),
+        ("GET /subscriptions/zones/1", "", 404, "no subscription `1`"),
+        ("PUT /subscriptions/users/1", &subscription, 200, "UserLocationPeriodicSubscription"),
+        ("DELETE /subscriptions/users/1", "", 204, ""),
+        ("GET /subscriptions/users/1", "", 404, "no subscription `1`"),
+    ] {
+        let (status, mut rest) = served.ask(OPERATOR, &request.replacen(' ', " /location/v2", 1), body);
+        let mut answer = String::new();
+        rest.read_to_string(&mut answer).unwrap();
+        assert_eq!(status, expected, "{request}: {answer}");
+        assert!(answer.contains(part), "{request}: {answer}");
+    }
 }
 
 #[test]

@@ -1,0 +1,245 @@
+//! The HTTP resources of a [`Location`] (ETSI GS MEC 013 v3.1.1, clause 7).
+
+use axum::{
+    Router,
+    extract::{Path, State},
+    http::{HeaderMap, StatusCode},
+    response::{IntoResponse as _, Response},
+    routing::{MethodRouter, get},
+};
+use cotorra_mec::{Base, Id, Json, Parameters, Problem, changed, created, if_match, json, shown};
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::{
+    location::Location,
+    requests::{List, Point, Subscription},
+    view::{DistanceQuery, End, UserQuery},
+};
+
+/// A service that is ready to be served.
+pub type Service = cotorra_mec::Service<Location>;
+
+type Answer = Result<Response, Problem>;
+
+/// Returns the resources of a service.
+pub fn router(service: &Service) -> Router {
+    let queries: [(&'static str, MethodRouter<Service>); 6] = [
+        ("/queries/distance", get(distance)),
+        ("/queries/users", get(users)),
+        ("/queries/zones", get(zones)),
+        ("/queries/zones/{zoneId}", get(zone)),
+        ("/queries/zones/{zoneId}/accessPoints", get(access_points)),
+        ("/queries/zones/{zoneId}/accessPoints/{accessPointId}", get(access_point)),
+    ];
+    let subscriptions = [
+        ("/subscriptions/area", "/subscriptions/area/{subscriptionId}", List::Area),
+        ("/subscriptions/distance", "/subscriptions/distance/{subscriptionId}", List::Distance),
+        ("/subscriptions/users", "/subscriptions/users/{subscriptionId}", List::Users),
+        ("/subscriptions/zones", "/subscriptions/zones/{subscriptionId}", List::Zones),
+    ];
+    let lists = subscriptions.map(|(path, ..)| path);
+    let subscriptions = subscriptions.into_iter().flat_map(|(path, one, list)| {
+        let links = get(move |service, base, parameters| links(list, service, base, parameters))
+            .post(move |service, base, body| subscribe(list, service, base, body));
+        let subscription =
+            get(move |service, base, id, headers| subscription(list, service, base, id, headers))
+                .put(move |service, base, id, headers, body| {
+                    resubscribe(list, service, base, id, headers, body)
+                })
+                .delete(move |service, id, headers| unsubscribe(list, service, id, headers));
+        [(path, links), (one, subscription)]
+    });
+    cotorra_mec::router(service, queries.into_iter().chain(subscriptions), &lists)
+}
+
+/// Answers with an object that has a value as its only attribute.
+fn wrapped(name: &str, value: &impl Serialize) -> Response {
+    let value = serde_json::to_value(value).expect("these types hold only what JSON can");
+    json(&Value::Object(Map::from_iter([(name.to_owned(), value)])))
+}
+
+/// Sorts parameters into lists by these names.
+fn lists<const N: usize>(
+    names: [&str; N],
+    parameters: Vec<(String, String)>,
+) -> Result<[Vec<String>; N], Problem> {
+    let mut lists = [const { Vec::new() }; N];
+    for (name, value) in parameters {
+        let Some(place) = names.iter().position(|known| *known == name) else {
+            let there = if N == 0 { "none".to_owned() } else { names.join(", ") };
+            return Err(Problem::bad_request(format!("there is no parameter `{name}`; there are {there}")));
+        };
+        lists[place].push(value);
+    }
+    Ok(lists)
+}
+
+/// Returns the only value of a parameter.
+fn single(name: &str, values: Vec<String>) -> Result<Option<String>, Problem> {
+    match values.len() {
+        0 | 1 => Ok(values.into_iter().next()),
+        _ => Err(Problem::bad_request(format!("`{name}` is given twice"))),
+    }
+}
+
+async fn zones(State(service): State<Service>, Base(base): Base, Parameters(given): Parameters) -> Answer {
+    let [zones] = lists(["zoneId"], given)?;
+    Ok(wrapped("zoneList", &service.with(|location| location.zones(&base, &zones))))
+}
+
+async fn zone(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(zone): Id,
+    Parameters(given): Parameters,
+) -> Answer {
+    let [] = lists([], given)?;
+    Ok(wrapped("zoneInfo", &service.with(|location| location.zone(&base, &zone))?))
+}
+
+async fn access_points(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(zone): Id,
+    Parameters(given): Parameters,
+) -> Answer {
+    let [ids] = lists(["accessPointId"], given)?;
+    let list = service.with(|location| location.access_points(&base, &zone, &ids))?;
+    Ok(wrapped("accessPointList", &list))
+}
+
+async fn access_point(
+    State(service): State<Service>,
+    Base(base): Base,
+    Path((zone, id)): Path<(String, String)>,
+    Parameters(given): Parameters,
+) -> Answer {
+    let [] = lists([], given)?;
+    let info = service.with(|location| location.access_point(&base, &zone, &id))?;
+    Ok(wrapped("accessPointInfo", &info))
+}
+
+async fn users(State(service): State<Service>, Base(base): Base, Parameters(given): Parameters) -> Answer {
+    let [zones, access_points, addresses] = lists(["zoneId", "accessPointId", "address"], given)?;
+    let query = UserQuery { zones, access_points, addresses };
+    Ok(wrapped("userList", &service.with(|location| location.users(&base, &query))))
+}
+
+async fn distance(State(service): State<Service>, Parameters(given): Parameters) -> Answer {
+    let [addresses, latitude, longitude] = lists(["address", "latitude", "longitude"], given)?;
+    let degrees = |name: &str, values: Vec<String>, most: f64| -> Result<Option<f64>, Problem> {
+        let Some(text) = single(name, values)? else { return Ok(None) };
+        let number = text.parse().ok().filter(|number| (-most..=most).contains(number));
+        let invalid = || Problem::bad_request(format!("`{name}` must be a number from -{most} to {most}"));
+        Ok(Some(number.ok_or_else(invalid)?))
+    };
+    let place = (degrees("latitude", latitude, 90.0)?, degrees("longitude", longitude, 180.0)?);
+    let query = match (&addresses[..], place) {
+        ([from, to], (None, None)) => DistanceQuery { from: from.clone(), to: End::User(to.clone()) },
+        ([from], (Some(latitude), Some(longitude))) => {
+            DistanceQuery { from: from.clone(), to: End::Place(Point { latitude, longitude }) }
+        }
+        _ => {
+            let detail = "a distance is between two addresses, or an address and a latitude and longitude";
+            return Err(Problem::bad_request(detail));
+        }
+    };
+    Ok(wrapped("terminalDistance", &service.with(|location| location.distance(&query))?))
+}
+
+async fn links(
+    list: List,
+    State(service): State<Service>,
+    Base(base): Base,
+    Parameters(given): Parameters,
+) -> Answer {
+    let subject = match list {
+        List::Users => "address",
+        List::Zones => "zoneId",
+        List::Area | List::Distance => "",
+    };
+    let [types, subjects] = match subject {
+        "" => {
+            let [types] = lists(["subscription_type"], given)?;
+            [types, Vec::new()]
+        }
+        subject => lists(["subscription_type", subject], given)?,
+    };
+    let wanted_type = single("subscription_type", types)?;
+    let wanted_subject = single(subject, subjects)?;
+    let known: &[(&str, &str)] = match list {
+        List::Users => {
+            &[("event", "UserLocationEventSubscription"), ("periodic", "UserLocationPeriodicSubscription")]
+        }
+        List::Zones => &[("event", "ZoneLocationEventSubscription"), ("status", "ZoneStatusSubscription")],
+        List::Area => &[("event", "UserAreaSubscription")],
+        List::Distance => &[("event", "UserDistanceSubscription")],
+    };
+    let type_name = match &wanted_type {
+        None => None,
+        Some(name) => match known.iter().find(|(known, _)| known == name) {
+            Some((_, type_name)) => Some(*type_name),
+            None => {
+                let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
+                return Err(Problem::bad_request(format!("subscription_type is {}", names.join(" or "))));
+            }
+        },
+    };
+    let is_wanted = |subscription: &Subscription| {
+        let subject = match subscription {
+            Subscription::UserLocationEventSubscription(s) => Some(&s.address),
+            Subscription::UserLocationPeriodicSubscription(s) => Some(&s.address),
+            Subscription::ZoneLocationEventSubscription(s) => Some(&s.zone_id),
+            Subscription::ZoneStatusSubscription(s) => Some(&s.zone_id),
+            _ => None,
+        };
+        type_name.is_none_or(|name| name == subscription.type_name())
+            && (wanted_subject.is_none() || wanted_subject.as_ref() == subject)
+    };
+    let links = service.with(|location| location.links(&base, list, is_wanted));
+    Ok(wrapped("notificationSubscriptionList", &links))
+}
+
+async fn subscribe(list: List, State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
+    let subscription = Subscription::read(list, &body)?;
+    service.check(&subscription).await?;
+    let now = service.now();
+    let resource = service.with(|location| location.subscribe(now, &base, subscription))?;
+    service.wake();
+    Ok(created(&resource))
+}
+
+async fn subscription(
+    list: List,
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+) -> Answer {
+    Ok(shown(&headers, &service.with(|location| location.subscription(&base, list, &id))?))
+}
+
+async fn resubscribe(
+    list: List,
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+    Json(body): Json,
+) -> Answer {
+    service.with(|location| location.subscription(&base, list, &id))?;
+    let subscription = Subscription::read(list, &body)?;
+    service.check(&subscription).await?;
+    let (now, if_match) = (service.now(), if_match(&headers));
+    let resource = service.with(|location| location.resubscribe(now, &base, &id, if_match, subscription))?;
+    service.wake();
+    Ok(changed(&resource))
+}
+
+async fn unsubscribe(list: List, State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
+    let now = service.now();
+    service.with(|location| location.unsubscribe(now, list, &id, if_match(&headers)))?;
+    service.wake();
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
