@@ -113,8 +113,8 @@ pub use search::{Arrival, cheapest_paths, steps_back};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
-    BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Retention, Retentions, Testbed,
-    Walk,
+    BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Reservations, Retention,
+    Retentions, Testbed, Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use traffic::{Arrivals, CongestionControl, Load, TrafficSource, UdpRate};

@@ -60,6 +60,20 @@ pub struct Testbed {
     pub without_port_security: Vec<NodeId>,
     /// Sources of traffic that need no program, in the file's order.
     pub traffic: Vec<TrafficSource>,
+    /// How wired links keep the reservations of mappings.
+    pub reservations: Reservations,
+}
+
+/// How wired links keep the reservations of mappings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Reservations {
+    /// They only limit other mappings. Traffic is not shaped.
+    #[default]
+    Counted,
+    /// Packets of a mapping have at least the reserved rate when they need it, and may borrow what others leave over.
+    Guaranteed,
+    /// The reserved rate is also the highest one that packets of a mapping have.
+    Limited,
 }
 
 /// Emulator of links.

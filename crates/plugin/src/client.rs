@@ -351,6 +351,7 @@ impl Client {
             border: None,
             without_port_security: Vec::new(),
             traffic: Vec::new(),
+            reservations: Default::default(),
             containers: Default::default(),
         })
     }

@@ -6,7 +6,7 @@ use cotorra_graph::{
     AgentId, Arrivals, BackgroundScan, BitRate, Bound, ChannelWidth, CongestionControl, Correlation,
     DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, FixedRate, GapPolicy, GuardInterval,
     InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase,
-    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming,
+    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Reservations, Roaming,
     RobotModel, RosNetwork, SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume, WifiStandard,
 };
 
@@ -30,6 +30,8 @@ record! {
         seed: u64 = 1,
         /// Emulator of the links in real time.
         emulation: Emulation = "fabric",
+        /// How wired links keep the reservations that `map` makes: docs/use/plugins.md.
+        reservations: Spanned<Reservations> = "counted",
         /// Engine that runs container images on nodes without an `engine` of their own: docs/use/containers.md.
         engine: EngineKind = "podman",
         /// Administrative domains. Without them there is one, `local`.
@@ -1530,6 +1532,11 @@ choice!(FadingWord, "kind of fading", {
 choice!(Emulation, "kind of emulation", {
     "fabric" => Self::Fabric, "cotorra itself, on every kernel";
     "netem" => Self::NetEm, "the kernel, with bridges and NetEm, where it has them and there is no radio; else the fabric";
+});
+choice!(Reservations, "way to keep reservations", {
+    "counted" => Self::Counted, "they limit other mappings, and shape no traffic";
+    "guaranteed" => Self::Guaranteed, "wired links keep the reserved rate for the packets of a mapping, which may borrow more";
+    "limited" => Self::Limited, "wired links keep the reserved rate for the packets of a mapping, which get no more";
 });
 
 choice!(Direction, "direction", {

@@ -154,6 +154,7 @@ pub fn testbed(graph: HardwareGraph) -> Testbed {
         border: None,
         without_port_security: Vec::new(),
         traffic: Vec::new(),
+        reservations: Default::default(),
     }
 }
 

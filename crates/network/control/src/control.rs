@@ -3,10 +3,10 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_engine::{Engine, InstanceWaits};
-use cotorra_fabric::Fabric;
+use cotorra_fabric::{Fabric, PinnedPath};
 use cotorra_graph::{
     Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement,
-    Position, Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
+    Position, Reservations, Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -23,14 +23,13 @@ pub struct NetworkControl<N, E> {
     access_points: AccessPoints,
     virtual_links: Vec<VirtualLink>,
     mappings: Mappings,
+    /// How links keep reservations.
+    reservations: Reservations,
     /// The paths that are pinned in the fabric.
-    pinned: Vec<Path>,
+    pinned: Vec<PinnedPath>,
     /// The last reported a(n1,n2).
     reported: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
 }
-
-/// A path from one node to another over links.
-type Path = (NodeId, NodeId, Vec<LinkId>);
 
 impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// Creates the control of a network. No VNF runs before [`NetworkControl::start`].
@@ -45,6 +44,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 .flat_map(|service| service.virtual_links.clone())
                 .collect(),
             mappings: Mappings::default(),
+            reservations: testbed.reservations,
             pinned: Vec::new(),
             reported: BTreeMap::new(),
         }
@@ -251,13 +251,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         let changes = self.work_out(&mut mappings);
         self.mappings = mappings;
         let notices = changes?.into_iter().map(|message| Event::Notice { message }).collect();
-        let path = |mapping: &Mapping| (mapping.from.clone(), mapping.to.clone(), mapping.links.clone());
-        let pinned: Vec<Path> = self.mappings.pinned().map(path).collect();
+        let pinned: Vec<_> =
+            self.mappings.pinned().map(|mapping| mapping.pinned(self.reservations)).collect();
         if pinned != self.pinned {
             self.pinned = pinned.clone();
-            let pin = move |fabric: &mut Fabric, _| {
-                fabric.pin(pinned.iter().map(|(from, to, links)| (from, to, links.as_slice())))
-            };
+            let pin = move |fabric: &mut Fabric, now| fabric.pin(now, &pinned);
             self.network
                 .with(pin)?
                 .expect("paths are checked when they are mapped, and the graph is constant");

@@ -3,12 +3,13 @@
 //! A mapping is for packets from one node to another. It carries all virtual links between VNFs on these nodes, and
 //! reserves the sum of their rates on each link of its path. It keeps the reservation while its path is cut, so that the
 //! path can be used again. If a link has too little capacity for all reservations, the latest mapping loses its own first.
-//! It gets the reservation back once there is capacity.
+//! It gets the reservation back once there is capacity. Whether links keep reservations for the packets of a mapping is the
+//! testbed's decision.
 
 use std::{collections::BTreeMap, fmt};
 
-use cotorra_fabric::Carries;
-use cotorra_graph::{Direction, LinkId, NodeId};
+use cotorra_fabric::{Carries, PinnedPath, Reservation};
+use cotorra_graph::{BitRate, Direction, LinkId, NodeId, Reservations};
 
 /// One direction of a link.
 pub(crate) type Hop = (LinkId, Direction);
@@ -61,6 +62,19 @@ impl Mapping {
     /// Whether packets take its path now.
     pub(crate) fn is_used(&self) -> bool {
         self.state == State::Used
+    }
+
+    /// Returns its path for the fabric, and the rate that links keep for it.
+    pub(crate) fn pinned(&self, reservations: Reservations) -> PinnedPath {
+        let is_limited = match reservations {
+            Reservations::Counted => None,
+            Reservations::Guaranteed => Some(false),
+            Reservations::Limited => Some(true),
+        };
+        // Without a virtual link on its nodes now, nothing is reserved.
+        let rate = BitRate::from_bits_per_second(self.rate_bps.round() as u64);
+        let reservation = is_limited.zip(rate).map(|(is_limited, rate)| Reservation { rate, is_limited });
+        PinnedPath { from: self.from.clone(), to: self.to.clone(), links: self.links.clone(), reservation }
     }
 
     /// Returns the shortage that prevents its reservation.

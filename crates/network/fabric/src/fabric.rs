@@ -42,6 +42,7 @@ use crate::{
 };
 
 pub use elsewhere::Departure;
+pub use paths::{PinnedPath, Reservation};
 pub use sources::ForgedSources;
 
 /// Frames that the fabric could not forward.

@@ -14,7 +14,7 @@
 //! - **Wired links.** Each direction is a queue (drop tail, CoDel, FQ-CoDel, PIE or RED), a transmitter (fixed rate or
 //!   Mahimahi trace) and a line.
 //!   Packets that leave the transmitter meet loss, corruption, duplication, and delay with jitter that keeps order.
-//!   Links [change](Fabric::change) in place.
+//!   Links [change](Fabric::change) in place. A [reservation](Reservation) of a pinned path has a queue of its own there.
 //! - **The air.** A robot's frames cross the air to and from the radio unit that it is attached to. Airtime, retries and
 //!   a handover's gap delay them. Robots [move](Fabric::move_robot), [scan](Fabric::scan) and
 //!   [attach](Fabric::attach) to other radio units.
@@ -28,7 +28,7 @@
 //!   others carry no trace.
 //! - **Taps.** [Readers](Fabric::tap) see the packets that cross the links they name. Without any, this costs nothing.
 //! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
-//!   packets. Random impairments, rates below 1 Gbit/s, traces, queues that are not drop tail, and the air cut it. A
+//!   packets. Random impairments, rates below 1 Gbit/s, traces, queues that are not drop tail, reservations, and the air cut it. A
 //!   checksum left to do stays so, unless the packet is corrupted.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -58,7 +58,7 @@ mod transmitter;
 
 pub use balance::Balance;
 pub use error::{GraphError, NoPath};
-pub use fabric::{Departure, Drops, Fabric, ForgedSources};
+pub use fabric::{Departure, Drops, Fabric, ForgedSources, PinnedPath, Reservation};
 pub use following::{Datagrams, Followed, FollowedReader, Progress, RoundTrip, Trip};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;

@@ -12,7 +12,7 @@ use crate::{
     impairment::{Impairments, jittered},
     meter::Meter,
     pool::Pool,
-    queue::Queue,
+    queue::{Queue, Share, Shared},
     routes::Target,
     settings::{Settings, is_impaired, needs_packets},
     trace::DirectedLink,
@@ -76,7 +76,7 @@ pub(crate) struct Pipe {
     settings: Settings,
     impairments: Impairments,
     transmitter: Transmitter<Packet>,
-    queue: Queue<Packet>,
+    queue: Shared<Packet>,
     /// In order of `due`.
     line: VecDeque<InFlight>,
     /// Whether packets pass at once and unchanged while the line is empty.
@@ -96,7 +96,7 @@ impl Pipe {
             link,
             impairments: Impairments::new(conditions, rng),
             transmitter: Transmitter::new(&conditions.rate, Timestamp::ZERO),
-            queue: Queue::new(Timestamp::ZERO, conditions, queue_rng),
+            queue: Shared::new(Queue::new(Timestamp::ZERO, conditions, queue_rng)),
             line: VecDeque::new(),
             clear: is_clear(conditions),
             needs_packets: needs_packets(conditions),
@@ -173,17 +173,30 @@ impl Pipe {
     /// Returns when [`Self::poll`] is due.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         let due = self.line.front().map(|f| f.due);
-        match (self.transmitter.deadline(), due) {
+        match (self.next_sent(), due) {
             (Some(sent), Some(due)) => Some(sent.min(due)),
             (sent, due) => sent.or(due),
         }
     }
 
+    /// Returns when the transmitter has sent its packet, or can send one that waits below the ceiling of its reservation.
+    fn next_sent(&self) -> Option<Timestamp> {
+        if self.transmitter.is_busy() { self.transmitter.deadline() } else { self.queue.due() }
+    }
+
     /// Takes the next packet that has crossed by the deadline `at`.
     pub(crate) fn poll(&mut self, at: Timestamp, pool: &mut Pool) -> Option<Packet> {
-        while let Some((packet, sent)) = self.transmitter.finish(at) {
-            self.depart(sent, packet, pool);
-            self.send_queued(sent, pool);
+        loop {
+            if let Some((packet, sent)) = self.transmitter.finish(at) {
+                self.depart(sent, packet, pool);
+                self.send_queued(sent, pool);
+            } else if !self.transmitter.is_busy()
+                && let Some(due) = self.queue.due().filter(|due| *due <= at)
+            {
+                self.begin_queued(due, pool);
+            } else {
+                break;
+            }
         }
         if self.line.front()?.due > at {
             return None;
@@ -208,15 +221,9 @@ impl Pipe {
         self.settings = settings;
         let conditions = self.settings.effective();
         self.impairments.change(conditions);
-        self.clear = is_clear(conditions);
-        self.needs_packets = needs_packets(conditions);
         self.impaired = is_impaired(conditions);
-        if self.needs_packets {
-            for packet in self.queue.drain() {
-                self.for_each_packet(packet, pool, |pipe, packet, _| pipe.queue.insert(packet));
-            }
-        }
-        self.queue.change(now, self.settings.effective());
+        self.choose_way(pool);
+        self.queue.change(now, self.settings.effective(), self.settings.capacity_bps());
         if shorter {
             self.pull_forward(now);
         }
@@ -227,6 +234,35 @@ impl Pipe {
                 self.transmitter.wake(now);
                 self.send(now, packet, bits, pool);
                 self.send_queued(now, pool);
+            }
+        }
+    }
+
+    /// Whether there are reservations.
+    pub(crate) fn is_shared(&self) -> bool {
+        self.queue.is_shared()
+    }
+
+    /// Replaces the reservations. The caller has polled everything due by `now`.
+    pub(crate) fn reserve(&mut self, now: Timestamp, shares: &[Share], pool: &mut Pool) {
+        if shares.is_empty() && !self.queue.is_shared() {
+            return;
+        }
+        self.queue.reserve(now, shares, self.settings.effective(), self.settings.capacity_bps());
+        self.choose_way(pool);
+        if !self.transmitter.is_busy() {
+            self.begin_queued(now, pool);
+        }
+    }
+
+    /// Chooses whether packets pass at once, and whether super-packets stay whole. Cuts those that wait, if not.
+    fn choose_way(&mut self, pool: &mut Pool) {
+        let (conditions, is_shared) = (self.settings.effective(), self.queue.is_shared());
+        self.clear = is_clear(conditions) && !is_shared;
+        self.needs_packets = needs_packets(conditions) || is_shared;
+        if self.needs_packets {
+            for packet in self.queue.drain() {
+                self.for_each_packet(packet, pool, |pipe, packet, _| pipe.queue.insert(packet));
             }
         }
     }
@@ -250,7 +286,13 @@ impl Pipe {
         }
     }
 
-    /// Starts to send the next packet of the queue, or all of them if that takes no time.
+    /// Wakes the idle transmitter for packets of the queue.
+    fn begin_queued(&mut self, now: Timestamp, pool: &mut Pool) {
+        self.transmitter.wake(now);
+        self.send_queued(now, pool);
+    }
+
+    /// Starts to send the next packet of the queue, or all that it may send if that takes no time.
     fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
         while !self.transmitter.is_busy() {
             // A queue was longest just before a packet left it.

@@ -41,6 +41,8 @@ impl Tree {
 /// The wired part of a path that frames are pinned to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Path {
+    /// Source and destination of its frames.
+    pub(crate) ends: [PortId; 2],
     /// First vertex.
     pub(crate) begin: usize,
     /// Last vertex.

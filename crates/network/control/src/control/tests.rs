@@ -51,8 +51,13 @@ struct Lab(NetworkControl<Here, InMemoryEngine>);
 
 impl Lab {
     fn new() -> Self {
+        Self::with(Reservations::Counted)
+    }
+
+    fn with(reservations: Reservations) -> Self {
         let testbed =
             cotorra_testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
+        let testbed = Testbed { reservations, ..testbed };
         let network = Here::new(&testbed.graph);
         let mut lab = Self(NetworkControl::new(&testbed, network, InMemoryEngine::default()));
         lab.0.start(Timestamp::ZERO);
@@ -146,6 +151,38 @@ fn a_mapping_reserves_its_rate_in_one_direction() {
     let (mapped, _) = lab.map("one", "r", "wide-one U-wide r~U").unwrap();
     assert_eq!(mapped, ["r-brain r-driver mapped"]);
     assert_eq!(lab.reserved(), ["U-wide Backward 3", "r~U Backward 3", "wide-one Backward 3"]);
+}
+
+/// Returns the reservations in the fabric: both ends, the rate in Mbit/s, and whether that is the most.
+fn kept(lab: &Lab) -> Vec<(String, f64, bool)> {
+    let kept = lab.0.pinned.iter().filter_map(|path| {
+        let reservation = path.reservation?;
+        Some((format!("{} {}", path.from, path.to), reservation.rate.mbps(), reservation.is_limited))
+    });
+    kept.collect()
+}
+
+#[test]
+fn links_keep_the_reservations_that_the_testbed_wants_kept() {
+    for (reservations, is_limited) in [
+        (Reservations::Counted, None),
+        (Reservations::Guaranteed, Some(false)),
+        (Reservations::Limited, Some(true)),
+    ] {
+        let mut lab = Lab::with(reservations);
+        lab.map("r", "one", WIDE).unwrap();
+        let expected: Vec<_> =
+            is_limited.map(|is_limited| ("r one".to_owned(), 3.0, is_limited)).into_iter().collect();
+        assert_eq!(kept(&lab), expected);
+        // A cut path has none, and gets it back.
+        lab.lose("U-wide", 1.0);
+        assert_eq!(kept(&lab), []);
+        lab.lose("U-wide", 0.0);
+        assert_eq!(kept(&lab), expected);
+        // Nothing is reserved for nodes without a virtual link.
+        lab.place("r-brain", "two");
+        assert_eq!(kept(&lab), []);
+    }
 }
 
 #[test]

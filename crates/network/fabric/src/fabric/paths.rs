@@ -1,17 +1,40 @@
 //! Pinned paths: frames from one host to another can be pinned to any path between them, in that direction alone. All
 //! others take the shortest path.
 
-use std::{sync::Arc, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use cotorra_graph::{Direction, LinkId, NodeId};
+use cotorra_graph::{BitRate, Direction, LinkId, NodeId, Timestamp};
 
 use super::{Fabric, Hop, Port, Reach, edge};
-use crate::{error::NoPath, port::PortId, routes::Path, settings::Carries};
+use crate::{error::NoPath, pipe::Pipe, port::PortId, queue::Share, routes::Path, settings::Carries};
+
+/// A path for the frames from one host to another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PinnedPath {
+    /// The host that sends them.
+    pub from: NodeId,
+    /// The host that receives them.
+    pub to: NodeId,
+    /// Its links, in order.
+    pub links: Vec<LinkId>,
+    /// The rate that its wired links keep for these frames, if they do.
+    pub reservation: Option<Reservation>,
+}
+
+/// A rate that wired links keep for the frames of a path. Each link shares its rate as Linux's HTB does, with a class for each
+/// reservation and one for all other frames. A class has at least its rate when it has frames to send. What it leaves over
+/// goes to the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reservation {
+    /// The rate of frames without FCS.
+    pub rate: BitRate,
+    /// Whether its frames have this rate at most. Otherwise they may borrow what others leave over.
+    pub is_limited: bool,
+}
 
 /// A checked path.
 struct Walked {
     hops: Vec<(LinkId, Direction)>,
-    ends: [PortId; 2],
     wired: Path,
 }
 
@@ -29,18 +52,33 @@ impl Fabric {
         self.walk(from, to, links).map(|walked| walked.hops)
     }
 
-    /// Pins frames from one host to another to paths, and replaces all pinned paths. A path to or from a robot holds while
-    /// the robot is attached to the path's radio unit. Frames in flight stay on their paths.
+    /// Pins frames from one host to another to paths, and replaces all pinned paths with their reservations. A path to or from
+    /// a robot holds while the robot is attached to the path's radio unit. Frames in flight stay on their paths.
     ///
     /// # Errors
     /// [`NoPath`] for an impossible path. Nothing has changed then.
-    pub fn pin<'a>(
-        &mut self,
-        paths: impl IntoIterator<Item = (&'a NodeId, &'a NodeId, &'a [LinkId])>,
-    ) -> Result<(), NoPath> {
-        let walk = |(from, to, links)| self.walk(from, to, links);
-        let walked = paths.into_iter().map(walk).collect::<Result<Vec<_>, _>>()?;
-        self.pinned = walked.into_iter().map(|walked| (walked.ends, Arc::new(walked.wired))).collect();
+    pub fn pin(&mut self, now: Timestamp, paths: &[PinnedPath]) -> Result<(), NoPath> {
+        let walk = |path: &PinnedPath| Ok((self.walk(&path.from, &path.to, &path.links)?, path.reservation));
+        let walked = paths.iter().map(walk).collect::<Result<Vec<_>, _>>()?;
+        let mut shares: BTreeMap<usize, Vec<Share>> = BTreeMap::new();
+        for (walked, reservation) in &walked {
+            let Some(Reservation { rate, is_limited }) = *reservation else { continue };
+            for edge in &walked.wired.edges {
+                let share = Share { key: walked.wired.ends, rate, is_limited };
+                shares.entry(*edge).or_default().push(share);
+            }
+        }
+        self.pinned =
+            walked.into_iter().map(|(walked, _)| (walked.wired.ends, Arc::new(walked.wired))).collect();
+        if shares.is_empty() && !self.pipes.iter().any(Pipe::is_shared) {
+            return Ok(());
+        }
+        let now = self.advance(now);
+        for (edge, pipe) in self.pipes.iter_mut().enumerate() {
+            let shares = shares.get(&edge).map(Vec::as_slice).unwrap_or_default();
+            pipe.reserve(now, shares, &mut self.pool);
+            self.timers.set(edge, pipe.deadline());
+        }
         Ok(())
     }
 
@@ -176,6 +214,6 @@ impl Fabric {
         if at != goal {
             return Err(NoPath::WrongEnd { at: name(at), to: to.clone() });
         }
-        Ok(Walked { hops, ends: [source, sink], wired: Path { begin, end, edges } })
+        Ok(Walked { hops, wired: Path { ends: [source, sink], begin, end, edges } })
     }
 }

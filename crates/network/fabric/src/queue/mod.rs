@@ -10,12 +10,14 @@ mod fq_codel;
 pub(crate) mod packet;
 mod pie;
 mod red;
+mod shared;
 
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Conditions, QueueDiscipline, QueueLimit, Rate, Timestamp};
 use cotorra_numbers::Draws;
 
+pub(crate) use self::shared::{ClassKey, Share, Shared};
 use self::{codel::Codel, fifo::Fifo, fq_codel::FqCodel, pie::Pie, red::Red};
 
 /// Bytes of a full Ethernet frame without FCS.
@@ -34,6 +36,10 @@ pub(crate) trait Queued {
     fn bytes(&self) -> u64;
     /// Returns a hash of the flow that it belongs to.
     fn flow(&self) -> u64;
+    /// Returns the two hosts to whose reservations it belongs, if it is on their pinned path.
+    fn class(&self) -> Option<ClassKey> {
+        None
+    }
     /// Marks it as having met congestion (CE, RFC 3168). Returns `false`, and changes nothing, if it is not ECN-capable.
     fn mark(&mut self) -> bool;
 }

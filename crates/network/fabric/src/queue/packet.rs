@@ -6,8 +6,11 @@ use cotorra_flows::{
 };
 use cotorra_graph::Timestamp;
 
-use super::Queued;
-use crate::pipe::Packet;
+use super::{ClassKey, Queued};
+use crate::{
+    pipe::{Packet, Purpose},
+    routes::Target,
+};
 
 /// The two ECN bits of a packet that met congestion (RFC 3168, section 5).
 const CE: u8 = 0b11;
@@ -27,6 +30,13 @@ impl Queued for Packet {
 
     fn flow(&self) -> u64 {
         flow(self.frame.bytes())
+    }
+
+    fn class(&self) -> Option<ClassKey> {
+        match &self.purpose {
+            Purpose::Target(Target::Port { along: Some(path), .. }) => Some(path.ends),
+            _ => None,
+        }
     }
 
     fn mark(&mut self) -> bool {

@@ -2,7 +2,8 @@
 
 use cotorra_graph::Timestamp;
 
-use super::Queued;
+use super::{ClassKey, Queued};
+use crate::port::PortId;
 
 /// A packet of a flow, with its number in it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +28,10 @@ impl Queued for TestPacket {
     }
     fn flow(&self) -> u64 {
         self.flow
+    }
+    /// Flows from 100 on have a class each.
+    fn class(&self) -> Option<ClassKey> {
+        (self.flow >= 100).then_some([PortId(self.flow as usize); 2])
     }
     fn mark(&mut self) -> bool {
         self.is_marked |= self.is_capable;

@@ -13,6 +13,7 @@ mod offloads;
 mod paths;
 mod port_security;
 mod queues;
+mod reservations;
 mod taps;
 mod walls;
 mod wireless;

@@ -1,6 +1,6 @@
 //! Pinned frames follow their path, in that direction alone, and are never lost because of it.
 
-use cotorra_fabric::{Fabric, PortId};
+use cotorra_fabric::{Fabric, NoPath, PinnedPath, PortId};
 use cotorra_graph::{ConditionChange, Conditions, Direction, LinkId, Loss, NodeId, Probability, Timestamp};
 
 use crate::common::{A, B, Network, context, delay, frame, ms, number, rate, run};
@@ -34,7 +34,12 @@ fn node(name: &str) -> NodeId {
 }
 
 fn pin(fabric: &mut Fabric, from: &str, to: &str, links: &[&str]) {
-    fabric.pin([(&node(from), &node(to), names(links).as_slice())]).unwrap();
+    try_to_pin(fabric, from, to, links).unwrap();
+}
+
+fn try_to_pin(fabric: &mut Fabric, from: &str, to: &str, links: &[&str]) -> Result<(), NoPath> {
+    let path = PinnedPath { from: node(from), to: node(to), links: names(links), reservation: None };
+    fabric.pin(Timestamp::ZERO, &[path])
 }
 
 #[test]
@@ -58,7 +63,7 @@ fn pinned_frames_follow_their_path_in_one_direction() {
         (names(&["a-t", "t-b"]), names(&["s-b", "a-s"]))
     );
 
-    fabric.pin([]).unwrap();
+    fabric.pin(Timestamp::ZERO, &[]).unwrap();
     assert_eq!(route(&fabric, "a", "b"), ["a-s", "s-b"]);
 }
 
@@ -68,7 +73,7 @@ fn frames_in_flight_stay_on_their_path() {
     pin(&mut fabric, "a", "b", &["a-t", "t-b"]);
     fabric.push(ms(0.0), A, frame(A, B, 1, 60));
     run(&mut fabric, ms(0.0), ms(1.0));
-    fabric.pin([]).unwrap();
+    fabric.pin(Timestamp::ZERO, &[]).unwrap();
     run(&mut fabric, ms(1.0), ms(100.0));
     assert_eq!(context(&mut fabric, ms(100.0), "t-b").counters.packets, 1);
 }
@@ -124,7 +129,7 @@ fn impossible_paths_are_rejected_with_a_reason() {
     assert_eq!(directions, [Direction::Forward, Direction::Backward, Direction::Forward]);
 
     pin(&mut fabric, "a", "b", &["a-t", "t-b"]);
-    assert!(fabric.pin([(&node("a"), &node("b"), names(&["a-b"]).as_slice())]).is_err());
+    assert!(try_to_pin(&mut fabric, "a", "b", &["a-b"]).is_err());
     assert_eq!(fabric.route(&node("a"), &node("b")).unwrap(), ["a-t", "t-b"]);
 }
 
