@@ -6,8 +6,9 @@ use cotorra_graph::{
     AgentId, Arrivals, BackgroundScan, BitRate, Bound, ChannelWidth, CongestionControl, Correlation,
     DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, FixedRate, GapPolicy, GuardInterval,
     InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase,
-    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Reservations, Roaming,
-    RobotModel, RosNetwork, SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume, WifiStandard,
+    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Reservations,
+    Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume,
+    WifiStandard,
 };
 
 use crate::{
