@@ -19,7 +19,7 @@ pub enum Access {
     #[default]
     Turns,
     /// Stations contend, as real ones do.
-    Contention(Contention),
+    Contention(Box<Contention>),
 }
 
 /// Contention for the channels of a network. Only stations that contend can sense others, or be real software.
@@ -88,7 +88,7 @@ impl Access {
 
 impl From<Edca> for Access {
     fn from(edca: Edca) -> Self {
-        Self::Contention(Contention { edca, interference: Vec::new(), software: None })
+        Self::Contention(Box::new(Contention { edca, interference: Vec::new(), software: None }))
     }
 }
 
@@ -96,7 +96,8 @@ impl From<Access> for AccessFields {
     fn from(access: Access) -> Self {
         match access {
             Access::Turns => Self { access: None, interference: Vec::new(), software: None },
-            Access::Contention(Contention { edca, interference, software }) => {
+            Access::Contention(contention) => {
+                let Contention { edca, interference, software } = *contention;
                 Self { access: Some(edca), interference, software }
             }
         }
@@ -108,7 +109,7 @@ impl TryFrom<AccessFields> for Access {
 
     fn try_from(AccessFields { access, interference, software }: AccessFields) -> Result<Self, Self::Error> {
         match access {
-            Some(edca) => Ok(Self::Contention(Contention { edca, interference, software })),
+            Some(edca) => Ok(Self::Contention(Box::new(Contention { edca, interference, software }))),
             None if interference.is_empty() && software.is_none() => Ok(Self::Turns),
             None => Err(
                 "interference and real Wi-Fi software need `access`, because senders take turns without it",

@@ -24,7 +24,7 @@ impl Builder<'_> {
         let edca = self.edca(record);
         let interference = self.interference(ssid, record)?;
         let software = self.software(record)?;
-        let contention = edca.map(|edca| Contention { edca, interference, software });
+        let contention = edca.map(|edca| Box::new(Contention { edca, interference, software }));
         Some(contention.map_or(Access::Turns, Access::Contention))
     }
 
