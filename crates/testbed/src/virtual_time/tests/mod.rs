@@ -8,6 +8,7 @@ mod federation;
 mod large_data;
 mod localization;
 mod replica;
+mod reservations;
 mod sensor;
 mod traffic;
 
