@@ -9,6 +9,8 @@ use std::{
 
 /// Variables that all programs get: paths, locale, time zone, and settings for debugging.
 const USUAL: &[&str] = &[
+    // Names registers that the C library leaves alone, because the kernel does not keep them.
+    "GLIBC_TUNABLES",
     "HOME",
     "LANG",
     "LANGUAGE",
