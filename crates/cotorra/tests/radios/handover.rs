@@ -94,7 +94,7 @@ fn one_file_is_walked_on_all_three_kinds() {
     /// Most of a gap: IEEE 802.11r aims at 50 ms.
     const MOST_MS: f64 = 50.0;
 
-    if env::var_os("COTORRA_RADIOS").is_none() || env::var_os("COTORRA_FULL").is_none() {
+    if env::var_os("COTORRA_FULL").is_none() || !cotorra_testing::radios::are_promised_beside_agents() {
         eprintln!("skipped: it needs radios, which COTORRA_RADIOS promises, and COTORRA_FULL");
         return;
     }
