@@ -141,6 +141,18 @@ fn found(found: bool, program: &str, remedy: &str) -> bool {
     found
 }
 
+/// Returns whether agents can be enrolled in this kernel. Certificates are signed with the wide registers of a processor that has
+/// them, and user-mode-linux does not keep those of processors with AMX (`scripts/uml`).
+pub fn can_enroll_agents() -> bool {
+    let narrow = env::var_os("COTORRA_NARROW_REGISTERS").is_some();
+    if narrow {
+        eprintln!(
+            "skipped: on this processor, this kernel does not keep the registers that sign certificates"
+        );
+    }
+    !narrow
+}
+
 /// Returns free ports of the loopback interface, from one that depends on the process.
 ///
 /// They lie below those that the kernel hands out, so that no connection takes one before its server comes back to it.

@@ -48,16 +48,6 @@ pub fn are_promised() -> bool {
     are_promised
 }
 
-/// Returns whether it promises them in a kernel in which agents can be enrolled. Certificates are signed with the wide registers of
-/// the processor where it has them, and user-mode-linux does not keep those of processors with AMX (`scripts/uml`).
-pub fn are_promised_beside_agents() -> bool {
-    let narrow = env::var_os("COTORRA_NARROW_REGISTERS").is_some();
-    if narrow {
-        eprintln!("skipped: on this processor, the kernel with radios does not keep the registers that sign certificates");
-    }
-    !narrow && are_promised()
-}
-
 /// Runs a script, and returns what it printed.
 pub fn sh(script: &str) -> String {
     let output = Command::new("sh").args(["-ec", script]).output().unwrap();

@@ -43,7 +43,7 @@ fn via_an_agent(testbed: &str, script: &str) -> Output {
 
 #[test]
 fn a_dry_run_and_a_run_say_what_agents_are_to_emulate() {
-    if !has_bridges() {
+    if !has_bridges() || !cotorra_testing::can_enroll_agents() {
         return;
     }
     let done = via_an_agent(
@@ -71,7 +71,7 @@ fn a_dry_run_and_a_run_say_what_agents_are_to_emulate() {
 
 #[test]
 fn an_agent_that_cannot_emulate_a_link_says_why_and_tries_again() {
-    if !has_bridges() {
+    if !has_bridges() || !cotorra_testing::can_enroll_agents() {
         return;
     }
     let testbed = TESTBED.replace("interface: eth1", "interface: lo");
@@ -110,7 +110,7 @@ fn an_agent_that_cannot_emulate_a_link_says_why_and_tries_again() {
 
 #[test]
 fn an_interface_of_an_agent_has_its_conditions_as_long_as_core_and_agent_are_there() {
-    if !has_bridges() || !has_netem() {
+    if !has_bridges() || !has_netem() || !cotorra_testing::can_enroll_agents() {
         return;
     }
     let done = via_an_agent(
@@ -174,7 +174,7 @@ fn an_interface_of_an_agent_has_its_conditions_as_long_as_core_and_agent_are_the
 /// The agent measures each direction by a reflector on the machine behind it. The medium adds nothing that is declared.
 #[test]
 fn an_agent_probes_its_links_as_long_as_the_run_goes_on() {
-    if !has_bridges() || !has_netem() {
+    if !has_bridges() || !has_netem() || !cotorra_testing::can_enroll_agents() {
         return;
     }
     let testbed = TESTBED
