@@ -363,6 +363,7 @@ fn agents_are_revoked_and_enrolled_again_while_a_run_goes_on() {
         until [ $(grep -c 'new credentials' agent_edge.txt) = 2 ]; do sleep 0.2; done
         serves_again
         kill -INT $run; ends
+        until_count edge "$NAVIGATION" 0
         count edge "$NAVIGATION""#,
     );
     assert_eq!(lines(&done), ["0"]);
