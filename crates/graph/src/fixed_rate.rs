@@ -12,6 +12,7 @@ use crate::units::BitRate;
 #[serde(rename_all = "snake_case")]
 pub enum FixedRate {
     /// A rate of 802.11a or g, bit/s.
+    #[serde(rename = "rate_bps")]
     BitsPerSecond(BitRate),
     /// An MCS. Those of 802.11n include the number of streams, eight for each. Those of 802.11ac and ax go with all streams of
     /// the network.
