@@ -11,7 +11,7 @@ use super::builder::{Builder, each};
 use crate::{
     records::{
         AccessWord, DeviceRecord, EmitterRecord, FixedRateRecord, InterferenceRecord, NodeRecord,
-        OtherNetworkRecord, PowerSaveRecord, PresenceRecord, QueueRecord, WifiWord, WirelessRecord,
+        OtherNetworkRecord, PowerSaveRecord, PresenceRecord, QueueRecord, WirelessRecord,
     },
     yaml::decode::{Either, Spanned, words},
 };
@@ -62,14 +62,8 @@ impl Builder<'_> {
         }
     }
 
-    /// Returns the rate control of stations that send at a fixed rate. The standard has it, and the software of stations does it.
+    /// Returns the rate control of stations that send at a fixed rate, which the standard has.
     fn fixed_rate(&mut self, record: &WirelessRecord, rate: &Spanned<FixedRate>) -> Option<RateControl> {
-        if record.wifi.value != WifiWord::Model {
-            self.sink
-                .error(&rate.span, "a fixed rate for hostapd and wpa_supplicant, whose kernel chooses rates")
-                .help("leave `rate_control` out, or write `wifi: model`");
-            return None;
-        }
         let (width, streams) = (record.width.value, record.streams.value.clamp(1, 2));
         let rates = record.standard.fixed_rates(width, streams);
         if !rates.contains(&rate.value) {

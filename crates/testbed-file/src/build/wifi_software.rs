@@ -26,13 +26,20 @@ impl Builder<'_> {
             WifiWord::Hwsim => RadioKind::Hwsim,
             WifiWord::Hardware => RadioKind::Hardware,
         };
-        if let Either::Short(AccessWord::Turns) = record.access.value {
-            self.sink
-                .error(&record.wifi.span, "hostapd and wpa_supplicant in a network whose senders take turns")
-                .help("leave `access: turns` out, so that its stations sense the channel");
-            return None;
-        }
-        Some(Some(WifiSoftware { radios, ssid, security }))
+        let (message, help) = match record.access.value {
+            Either::Short(AccessWord::Edca) => return Some(Some(WifiSoftware { radios, ssid, security })),
+            Either::Short(AccessWord::Turns) => (
+                "hostapd and wpa_supplicant in a network whose senders take turns",
+                "leave `access: turns` out, so that its stations sense the channel",
+            ),
+            Either::Long(_) => (
+                "settings of EDCA for hostapd and wpa_supplicant, whose kernel chooses rates, aggregates, queues and sleeps \
+                 by itself",
+                "leave `access` out, or write `wifi: model`",
+            ),
+        };
+        self.sink.error(&record.wifi.span, message).help(help);
+        None
     }
 
     /// Returns the real radio of a robot or a radio unit of a network; `Some(None)` if the network's radios are no hardware.
