@@ -408,7 +408,8 @@ impl Radio {
         }
         let answer = answered.map(|to| self.signal_foreign(ended.start, Emitter::Foreign(to), ended.emitter));
         let settled = self.edca().conclude(radio, category, &received);
-        let done = !settled.is_empty();
+        // Frames of an aggregate that are given up do not end the row of failures of those that go on.
+        let done = answered.is_some() || settled.len() == frames;
         for (Attempted { transmission, tries, .. }, received) in settled {
             let Transmission { id, to, packet_bytes, .. } = transmission;
             match self.link_of(radio, to, packet_bytes) {

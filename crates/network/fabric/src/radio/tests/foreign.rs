@@ -288,6 +288,26 @@ fn lost_frames_of_an_aggregate_go_again_before_others() {
 }
 
 #[test]
+fn a_frame_that_is_given_up_does_not_end_the_row_of_failures_of_others() {
+    let mcs7 = PhyRate::ht(7, ChannelWidth::Mhz20, false).unwrap();
+    let rates = |tries| [RateTries { rate: mcs7, tries, rts: false }];
+    // Nobody answers so far away. Returns when the last frame is given up.
+    let ended = |seed, others: &[u32]| {
+        let mut air = Air::seeded(contending(), &[900.0], seed);
+        air.tune_all(Timestamp::ZERO);
+        air.aggregates = true;
+        others.iter().for_each(|tries| _ = air.send(us(20_000), 1, 0, &rates(*tries)));
+        let last = air.send(us(20_000), 1, 0, &rates(6));
+        air.run(at(200));
+        air.settled(last).0.since(us(20_000)).as_secs_f64()
+    };
+    let mean = |others: &[u32]| (0..200).map(|seed| ended(seed, others)).sum::<f64>() / 200.0;
+    // Six tries with windows of 15 to 511 slots of 9 µs take some 7 ms; three more windows from 15 slots on, half of that.
+    let (alone, beside) = (mean(&[]), mean(&[1, 2]));
+    assert!((beside / alone - 1.0).abs() < 0.2, "{beside} s beside others, {alone} s alone");
+}
+
+#[test]
 fn rates_are_tried_in_order_until_one_arrives() {
     // 54 Mbit/s does not reach so far, 6 Mbit/s does.
     let mut air = Air::new(contending(), &[60.0]);
