@@ -26,8 +26,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    DomainId, Emulation, GeoOrigin, HardwareGraph, NodeId, OccupancyGrid, Probing, Reservations, Retention,
-    Retentions, ServiceId, Testbed, WaisSettings, Walk,
+    DomainId, GeoOrigin, HardwareGraph, NodeId, OccupancyGrid, Probing, Retention, Retentions, ServiceId,
+    Testbed, WaisSettings, Walk,
 };
 
 pub(super) use self::builder::is_variable;
@@ -80,7 +80,6 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let without_port_security = builder.without_port_security();
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
-    let reservations = reservations(record, sink);
     let retention = retentions(&record.history.retention, sink);
     Some(Testbed {
         graph: HardwareGraph { domains, nodes: nodes?, links: links?, wireless: wireless? },
@@ -97,23 +96,13 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         border: border?,
         without_port_security: without_port_security?,
         traffic: traffic?,
-        reservations,
+        reservations: record.reservations,
         containers: containers?,
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.
         folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),
         name: record.name.value.clone(),
     })
-}
-
-/// The kernel's bridges and NetEm have no classes for reservations.
-fn reservations(record: &TestbedRecord, sink: &mut Sink) -> Reservations {
-    let Spanned { value, span } = &record.reservations;
-    if *value != Reservations::Counted && record.emulation == Emulation::NetEm {
-        sink.error(span, "the kernel's NetEm does not keep reservations")
-            .help("leave out `emulation`: cotorra's own links keep them");
-    }
-    *value
 }
 
 fn probes(record: &Either<ProbesWord, ProbesRecord>, sink: &mut Sink) -> Option<Probing> {

@@ -32,7 +32,7 @@ record! {
         /// Emulator of the links in real time.
         emulation: Emulation = "fabric",
         /// How wired links keep the reservations that `map` makes: docs/use/plugins.md.
-        reservations: Spanned<Reservations> = "counted",
+        reservations: Reservations = "counted",
         /// Engine that runs container images on nodes without an `engine` of their own: docs/use/containers.md.
         engine: EngineKind = "podman",
         /// Administrative domains. Without them there is one, `local`.

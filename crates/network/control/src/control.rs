@@ -250,17 +250,16 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         let mut mappings = std::mem::take(&mut self.mappings);
         let changes = self.work_out(&mut mappings);
         self.mappings = mappings;
-        let notices = changes?.into_iter().map(|message| Event::Notice { message }).collect();
+        let mut messages = changes?;
         let pinned: Vec<_> =
             self.mappings.pinned().map(|mapping| mapping.pinned(self.reservations)).collect();
         if pinned != self.pinned {
             self.pinned = pinned.clone();
-            let pin = move |fabric: &mut Fabric, now| fabric.pin(now, &pinned);
-            self.network
-                .with(pin)?
-                .expect("paths are checked when they are mapped, and the graph is constant");
+            if let Err(error) = self.network.pin(pinned)? {
+                messages.push(format!("reservations are not kept: {error}"));
+            }
         }
-        Ok(notices)
+        Ok(messages.into_iter().map(|message| Event::Notice { message }).collect())
     }
 
     /// Updates the reservations and states of mappings. Returns the changes, for people.

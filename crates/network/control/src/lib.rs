@@ -16,6 +16,6 @@ pub mod vim;
 pub use control::NetworkControl;
 pub use network::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
-    check_switch_on_in_fabric, provision_in_fabric, scan_in_fabric, suggest_in_fabric, switch_off_in_fabric,
-    switch_on_in_fabric, test_fabric_throughput,
+    check_switch_on_in_fabric, pin_in_fabric, provision_in_fabric, scan_in_fabric, suggest_in_fabric,
+    switch_off_in_fabric, switch_on_in_fabric, test_fabric_throughput,
 };

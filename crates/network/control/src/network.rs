@@ -1,6 +1,6 @@
 //! The interface to the emulated network, and its errors.
 
-use cotorra_fabric::{Fabric, FabricError};
+use cotorra_fabric::{Fabric, FabricError, PinnedPath};
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Dbm, Direction, Lateness, LinkContext, LinkId, NodeId,
     RadioContext, ThroughputTest, Timestamp,
@@ -29,6 +29,14 @@ pub trait Network {
         change: &ConditionChange,
     ) -> Result<Vec<LinkContext>, InstructionError> {
         change_fabric(self, link, direction, change)
+    }
+
+    /// Replaces the paths that packets are pinned to, with their reservations. The paths are checked.
+    ///
+    /// # Errors
+    /// [`NetworkGone`]; in it, [`InstructionError`] if the paths are pinned, but their reservations are not kept.
+    fn pin(&self, paths: Vec<PinnedPath>) -> Result<Result<(), InstructionError>, NetworkGone> {
+        pin_in_fabric(self, paths).map(Ok)
     }
 
     /// Starts a throughput test of one direction of a link. Its context has the result later.
@@ -147,6 +155,19 @@ pub fn change_fabric<N: Network + ?Sized>(
         Ok(fabric.link_contexts(now).into_iter().filter(|context| context.link == link).collect())
     };
     network.with(apply).map_err(rejected)?
+}
+
+/// [`Network::pin`] in the fabric alone.
+///
+/// # Errors
+/// [`NetworkGone`].
+///
+/// # Panics
+/// For an impossible path.
+pub fn pin_in_fabric<N: Network + ?Sized>(network: &N, paths: Vec<PinnedPath>) -> Result<(), NetworkGone> {
+    let pinned = network.with(move |fabric, now| fabric.pin(now, &paths))?;
+    pinned.expect("paths are checked when they are mapped, and the graph is constant");
+    Ok(())
 }
 
 /// [`Network::test_throughput`] in the fabric alone.

@@ -7,12 +7,12 @@
 
 use std::{collections::HashMap, fs, net::Ipv4Addr, os::fd::AsFd};
 
-use cotorra_fabric::{Fabric, FabricError};
+use cotorra_fabric::{Fabric, FabricError, Reservation};
 use cotorra_graph::{
     Conditions, Direction, HardwareGraph, HostAddress, Jitter, Lateness, Link, LinkCounters, LinkId, Loss,
     NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
 };
-use cotorra_netem::{ConditionsError, Kernel, Netem, Rule};
+use cotorra_netem::{ConditionsError, Counters, Kernel, Netem, Share, Sharing};
 use parking_lot::Mutex;
 
 use crate::{
@@ -60,11 +60,39 @@ pub struct KernelNetwork {
     hosts: Vec<Namespace>,
     places: HashMap<NodeId, usize>,
     links: Vec<LinkId>,
-    /// Socket in the namespace of all bridges and links, which it keeps alive.
-    kernel: Mutex<Kernel>,
+    wires: Mutex<Wires>,
     probes: LinkProbes,
     _watch: Watch,
     _wiring: Namespace,
+}
+
+/// A reservation on one direction of a link, for the frames from one host to another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReservedHop {
+    /// The link.
+    pub link: LinkId,
+    /// The direction in which the frames cross it.
+    pub direction: Direction,
+    /// The host that sends them.
+    pub from: NodeId,
+    /// The host that receives them.
+    pub to: NodeId,
+    /// The rate that is kept for them.
+    pub reservation: Reservation,
+}
+
+/// The disciplines at both ends of each link.
+struct Wires {
+    /// Socket in the namespace of all bridges and links, which it keeps alive.
+    kernel: Kernel,
+    ends: Vec<[End; 2]>,
+}
+
+/// The discipline at the end of a link where a direction leaves.
+struct End {
+    sharing: Sharing,
+    /// Counters of disciplines that were deleted.
+    gone: Counters,
 }
 
 /// Observations of one direction of a link.
@@ -163,17 +191,19 @@ impl KernelNetwork {
         let watched = hosts.iter().enumerate();
         let watched = watched.map(|(place, host)| Watched::new(host, Addresses::AtPort, place));
         let watch = Watch::start(watched.collect::<Result<_, _>>()?, neighbours)?;
-        let kernel = wiring.run(Kernel::open)?;
-        for (link, [forward, backward]) in settings.into_iter().enumerate() {
-            set_netem(&kernel, &hosts, link, Direction::Forward, forward)?;
-            set_netem(&kernel, &hosts, link, Direction::Backward, backward)?;
+        let mut wires = Wires { kernel: wiring.run(Kernel::open)?, ends: Vec::new() };
+        for (link, both) in settings.into_iter().enumerate() {
+            if both.iter().any(|(_, needs_packets)| *needs_packets) {
+                segment(&hosts)?;
+            }
+            wires.set_up(link, both.map(|(netem, _)| netem))?;
         }
         let ends = graph.links.iter().map(effective).zip((first_end..).step_by(2));
         let ends = ends.map(|([forward, backward], a)| [(a, forward.clone()), (a + 1, backward.clone())]);
         let ends = ends.collect();
         let probes = wiring.run(|| LinkProbes::start(ends, probing)).action("measure links")?;
         let links = graph.links.iter().map(|link| link.id.clone()).collect();
-        Ok(Self { hosts, places, links, kernel: Mutex::new(kernel), probes, _watch: watch, _wiring: wiring })
+        Ok(Self { hosts, places, links, wires: Mutex::new(wires), probes, _watch: watch, _wiring: wiring })
     }
 
     /// Returns the namespace of a host.
@@ -199,8 +229,41 @@ impl KernelNetwork {
         conditions: &Conditions,
     ) -> Result<(), KernelNetworkError> {
         let place = self.links.iter().position(|l| l == link).expect("the graph's own link");
-        set_netem(&self.kernel.lock(), &self.hosts, place, direction, netem_of(link, conditions)?)?;
+        let (netem, needs_packets) = netem_of(link, conditions)?;
+        if needs_packets {
+            segment(&self.hosts)?;
+        }
+        let mut wires = self.wires.lock();
+        let after = wires.ends[place][direction as usize].sharing.with_netem(netem);
+        wires.change(place, direction, after)?;
         self.probes.change(place, direction, conditions);
+        Ok(())
+    }
+
+    /// Replaces all reservations. Each direction of a link that has some is shared by HTB, with a class for the frames of each
+    /// and one for all other frames. When a direction gets its first or loses its last one, the packets that wait there are
+    /// lost.
+    ///
+    /// # Errors
+    /// [`KernelNetworkError`]; then the reservations of the directions before the failed one have changed.
+    pub fn reserve(&self, reserved: &[ReservedHop]) -> Result<(), KernelNetworkError> {
+        if !reserved.is_empty() {
+            segment(&self.hosts)?;
+        }
+        let mac = |host: &NodeId| self.places.get(host).map(|place| HostAddress::of(*place).mac);
+        let mut wires = self.wires.lock();
+        for (place, link) in self.links.iter().enumerate() {
+            for direction in [Direction::Forward, Direction::Backward] {
+                let here = |hop: &&ReservedHop| hop.link == *link && hop.direction == direction;
+                let share = |hop: &ReservedHop| {
+                    let Reservation { rate, is_limited } = hop.reservation;
+                    Some(Share { from: mac(&hop.from)?, to: mac(&hop.to)?, rate, is_limited })
+                };
+                let shares: Vec<_> = reserved.iter().filter(here).filter_map(share).collect();
+                let after = wires.ends[place][direction as usize].sharing.with_shares(&shares);
+                wires.change(place, direction, after)?;
+            }
+        }
         Ok(())
     }
 
@@ -225,17 +288,18 @@ impl KernelNetwork {
     /// # Errors
     /// [`KernelNetworkError::Netem`].
     pub fn observe(&self) -> Result<HashMap<(LinkId, Direction), Observed>, KernelNetworkError> {
-        let counted = |device: &cotorra_netem::Device| Some(device.rules().next()?.1);
-        let devices = self.kernel.lock().devices()?;
+        let wires = self.wires.lock();
+        let devices = wires.kernel.devices()?;
         let counted: HashMap<_, _> =
-            devices.iter().filter_map(|d| Some((d.interface().name.as_str(), counted(d)?))).collect();
+            devices.iter().map(|device| (device.interface().name.as_str(), device.leaving())).collect();
         let mut observed = HashMap::new();
         for (place, (link, measured)) in self.links.iter().zip(self.probes.measured()).enumerate() {
             for (direction, Measured { probed, tested }) in
                 [Direction::Forward, Direction::Backward].into_iter().zip(measured)
             {
                 let Some(counters) = counted.get(end(place, direction).as_str()) else { continue };
-                let counters = self.probes.other_traffic(place, direction, LinkCounters::from(*counters));
+                let counters = *counters + wires.ends[place][direction as usize].gone;
+                let counters = self.probes.other_traffic(place, direction, LinkCounters::from(counters));
                 observed.insert((link.clone(), direction), Observed { counters, probed, tested });
             }
         }
@@ -249,20 +313,39 @@ impl KernelNetwork {
     }
 }
 
-/// Changes the conditions at an end of a link in place.
-fn set_netem(
-    kernel: &Kernel,
-    hosts: &[Namespace],
-    link: usize,
-    direction: Direction,
-    (netem, packets): (Netem, bool),
-) -> Result<(), KernelNetworkError> {
-    if packets {
-        segment(hosts)?;
+impl Wires {
+    /// Gives the next link its conditions.
+    fn set_up(&mut self, link: usize, both: [Netem; 2]) -> Result<(), cotorra_netem::Error> {
+        let ends = both.map(|netem| End { sharing: Sharing::new(netem), gone: Counters::default() });
+        for (direction, of) in [Direction::Forward, Direction::Backward].into_iter().zip(&ends) {
+            let device = self.kernel.device(&end(link, direction))?;
+            self.kernel.apply(&of.sharing.set_up(device.interface()))?;
+        }
+        self.ends.push(ends);
+        Ok(())
     }
-    let device = kernel.device(&end(link, direction))?;
-    let plan = device.set(&Rule { netem, ..Rule::default() }, false);
-    Ok(kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
+
+    /// Changes the conditions and shares at an end of a link.
+    fn change(
+        &mut self,
+        link: usize,
+        direction: Direction,
+        after: Sharing,
+    ) -> Result<(), cotorra_netem::Error> {
+        let (name, at) = (end(link, direction), &mut self.ends[link][direction as usize]);
+        if at.sharing == after {
+            return Ok(());
+        }
+        let device = self.kernel.device(&name)?;
+        let plan = at.sharing.change_to(&after, device.interface());
+        self.kernel.apply(&plan)?;
+        at.sharing = after;
+        if plan.loses_packets() {
+            let (before, now) = (device.leaving(), self.kernel.device(&name)?.leaving());
+            at.gone = at.gone + before.since(now);
+        }
+        Ok(())
+    }
 }
 
 /// Makes hosts send packets one by one. NetEm would lose, delay or serialise a super-packet as a whole.

@@ -55,7 +55,7 @@ pub use engine::{DepartureSink, EventSink, Handle};
 pub use error::Error;
 pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Passed};
 pub use hosts::PortKind;
-pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed};
+pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed, ReservedHop};
 pub use listener::Listening;
 pub use namespace::{Namespace, wait_until_removed};
 pub use presence::{Absence, PortWaits};

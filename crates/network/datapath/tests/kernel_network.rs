@@ -8,12 +8,13 @@
     reason = "tests may panic; the kernel works on the wall clock"
 )]
 
-use std::{thread, time::Duration};
+use std::{net::UdpSocket, thread, time::Duration};
 
-use cotorra_datapath::{KernelNetwork, KernelNetworkError, Observed};
-use cotorra_fabric::{Fabric, FabricError};
+use cotorra_datapath::{KernelNetwork, KernelNetworkError, Observed, ReservedHop};
+use cotorra_fabric::{Fabric, FabricError, Reservation};
 use cotorra_graph::{
-    BitRate, Conditions, Direction, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed, ThroughputTest,
+    BitRate, Conditions, Direction, HostAddress, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed,
+    ThroughputTest,
 };
 
 const PROBING: Probing =
@@ -182,4 +183,84 @@ fn throughput_tests_measure_links_within_bounds() {
     network.test_throughput(&link("two"), backward, half_a_second).unwrap();
     let known = wait_until(&network, ("two", Direction::Backward), |known| known.tested.is_some());
     assert!(known.tested.unwrap().offered_bps <= 2.2e6, "{known:?}");
+}
+
+/// Three hosts at a switch. Two send to the third over its link.
+fn funnel(right: &str) -> Testbed {
+    let host = "{ kind: server, tier: edge, cpus: 1, memory: 1 GB }";
+    let text = format!(
+        "name: lab\nnodes:\n  left: {host}\n  other: {host}\n  lan: {{ kind: switch }}\n  right: {host}\n\
+         links:\n  - {{ ends: [lan, [left, other]] }}\n  - {{ id: two, ends: [lan, right], {right} }}\n"
+    );
+    cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn reserved(from: &str, mbps: f64, is_limited: bool) -> ReservedHop {
+    let reservation = Reservation { rate: BitRate::from_mbps(mbps).unwrap(), is_limited };
+    let [from, to] = [from, "right"].map(|name| name.parse().unwrap());
+    ReservedHop { link: link("two"), direction: Direction::Forward, from, to, reservation }
+}
+
+const FRAMES: usize = 300;
+const PAYLOAD: usize = 1472;
+
+/// Lets both hosts send as many full frames to the third as fast as they can. Returns how many of `slow` arrive while those of
+/// `fast` do, in shares of all.
+fn share(network: &KernelNetwork, fast: &str, slow: &str) -> f64 {
+    let namespace = |name: &str| network.namespace(&name.parse().unwrap()).unwrap();
+    let right = HostAddress::of(2).ipv4;
+    let pairs = [fast, slow].map(|name| {
+        let to = namespace("right").udp_socket((right, 0)).unwrap();
+        to.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        let from = namespace(name).udp_socket("0.0.0.0:0").unwrap();
+        from.connect(to.local_addr().unwrap()).unwrap();
+        // Neighbours are known before it counts.
+        from.send(&[0; 10]).unwrap();
+        to.recv(&mut [0; 10]).unwrap();
+        (from, to)
+    });
+    thread::scope(|scope| {
+        for (from, _) in &pairs {
+            scope.spawn(|| (0..FRAMES).for_each(|_| assert_eq!(from.send(&[0; PAYLOAD]).unwrap(), PAYLOAD)));
+        }
+        let [(_, fast), (_, slow)] = &pairs;
+        let receive = |socket: &UdpSocket| socket.recv(&mut [0; 2000]).unwrap();
+        (0..FRAMES).for_each(|_| assert_eq!(receive(fast), PAYLOAD));
+        slow.set_nonblocking(true).unwrap();
+        let meanwhile = std::iter::from_fn(|| slow.recv(&mut [0; 2000]).ok()).count();
+        slow.set_nonblocking(false).unwrap();
+        (meanwhile..FRAMES).for_each(|_| assert_eq!(receive(slow), PAYLOAD));
+        meanwhile as f64 / FRAMES as f64
+    })
+}
+
+#[test]
+fn reservations_are_kept_by_htb_and_follow_the_links_rate() {
+    let lab = funnel("delay: 2 ms, rate: 8 Mbit/s, queue: 2000 packets");
+    let Some(network) = start(&lab, None) else { return };
+    // A fifth of what is right is more than the first packets and the buckets explain.
+    let assert_share = |fast: &str, slow: &str, expected: f64| {
+        let share = share(&network, fast, slow);
+        println!("{slow} beside {fast}: {share:.3} of {expected:.3}");
+        assert!((share / expected - 1.0).abs() < 0.2, "{slow} beside {fast}: {share} of {expected}");
+    };
+    network.reserve(&[reserved("left", 6.0, false)]).unwrap();
+    assert_share("left", "other", 1.0 / 3.0);
+    network.reserve(&[reserved("left", 2.0, true), reserved("other", 6.0, false)]).unwrap();
+    assert_share("other", "left", 1.0 / 3.0);
+    let faster = Conditions {
+        delay: 2 * MS,
+        rate: Rate::Fixed { bits_per_second: BitRate::from_mbps(12.0).unwrap() },
+        ..lab.graph.links[2].forward.clone()
+    };
+    network.set(&link("two"), Direction::Forward, &faster).unwrap();
+    assert_share("other", "left", 2.0 / 10.0);
+    let counters = || observe(&network, "two", Direction::Forward).counters;
+    let before = counters();
+    assert!(before.packets >= 6 * FRAMES as u64, "{before:?}");
+    network.reserve(&[]).unwrap();
+    // Counters go on when the classes are gone.
+    let after = counters();
+    assert!(after.packets >= before.packets && after.lost == before.lost, "{before:?} and {after:?}");
+    network.set(&link("two"), Direction::Forward, &faster).unwrap();
 }

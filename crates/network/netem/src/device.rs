@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use crate::{
-    filter::{Field, Filter, Verdict},
+    filter::{Field, Filter, Packets, Verdict},
     handle::Handle,
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
@@ -150,6 +150,11 @@ impl Device {
         };
         let ingress = self.detour.iter().flat_map(move |tree| of(Side::Ingress, tree));
         of(Side::Egress, &self.egress).into_iter().chain(ingress)
+    }
+
+    /// Returns the counters of all packets that leave.
+    pub fn leaving(&self) -> Counters {
+        self.egress.counters
     }
 
     /// Sets the distribution of a rule's jitter. The kernel does not report it, and it is needed when the rule is
@@ -298,6 +303,7 @@ impl Device {
             field: Field::Source,
             root: Root::Default,
             rules: BTreeMap::new(),
+            counters: Counters::default(),
         }
     }
 
@@ -312,7 +318,7 @@ impl Device {
 
     fn redirect(&self, verb: Verb, detour: &Tree) -> Request {
         let verdict = Verdict::Redirect(detour.interface.0);
-        let filter = Filter { network: None, field: Field::Destination, verdict, priority: DETOUR };
+        let filter = Filter { packets: Packets::All, verdict, priority: DETOUR };
         self.request(verb, Object::Filter { parent: Handle::ARRIVING, filter })
     }
 }
@@ -351,8 +357,14 @@ impl Snapshot {
                 {
                     let leaf =
                         at.iter().find(|d| Verdict::Class(d.parent) == filter.verdict && d.kind == "netem");
+                    let network = match filter.packets {
+                        Packets::All => None,
+                        Packets::Network(_, network) => Some(network),
+                        // A share of the rate is no rule.
+                        Packets::Frames { .. } => continue,
+                    };
                     if let Some(leaf) = leaf {
-                        rules.insert(filter.network, installed(leaf, leaf.parent.minor(), filter.priority)?);
+                        rules.insert(network, installed(leaf, leaf.parent.minor(), filter.priority)?);
                     }
                 }
                 Root::Classes
@@ -367,7 +379,9 @@ impl Snapshot {
                 },
             },
         };
-        Ok(Tree { interface: (interface.index, interface.name.clone()), field, root, rules })
+        let leaves = at.iter().filter(|discipline| discipline.kind == "netem");
+        let counters = leaves.fold(Counters::default(), |sum, leaf| sum + leaf.counters);
+        Ok(Tree { interface: (interface.index, interface.name.clone()), field, root, rules, counters })
     }
 }
 

@@ -23,11 +23,29 @@ pub(crate) enum Verdict {
     Redirect(u32),
 }
 
+/// Packets that a filter matches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Packets {
+    All,
+    /// Those with an address of the network in this field.
+    Network(Field, IpNetwork),
+    /// Those between two MAC addresses.
+    Frames {
+        from: [u8; 6],
+        to: [u8; 6],
+    },
+}
+
+impl Packets {
+    /// Returns the packets with an address of a network in this field; all without a network.
+    pub(crate) fn of(field: Field, network: Option<IpNetwork>) -> Self {
+        network.map_or(Self::All, |network| Self::Network(field, network))
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Filter {
-    /// Network to match; `None` matches every packet.
-    pub(crate) network: Option<IpNetwork>,
-    pub(crate) field: Field,
+    pub(crate) packets: Packets,
     pub(crate) verdict: Verdict,
     /// Filters run in ascending priority. Each of ours has its own.
     pub(crate) priority: u16,
@@ -46,6 +64,9 @@ const KEY: usize = 16;
 const V4: [(Field, u32); 2] = [(Field::Source, 12), (Field::Destination, 16)];
 const V6: [(Field, u32); 2] = [(Field::Source, 8), (Field::Destination, 24)];
 
+/// Offsets of the words of both addresses in an Ethernet header, which ends where the network header begins.
+const ETHERNET: [u32; 3] = [14_u32.wrapping_neg(), 10_u32.wrapping_neg(), 6_u32.wrapping_neg()];
+
 fn offset(of: [(Field, u32); 2], field: Field) -> u32 {
     if field == of[0].0 { of[0].1 } else { of[1].1 }
 }
@@ -53,19 +74,28 @@ fn offset(of: [(Field, u32); 2], field: Field) -> u32 {
 impl Filter {
     /// Returns the EtherType of the packets that the filter examines.
     pub(crate) fn protocol(&self) -> u16 {
-        match self.network.map(|network| network.address()) {
-            Some(IpAddr::V4(_)) => 0x0800,
-            Some(IpAddr::V6(_)) => 0x86dd,
-            None => 0x0003,
+        match self.packets {
+            Packets::Network(_, network) if network.address().is_ipv4() => 0x0800,
+            Packets::Network(..) => 0x86dd,
+            Packets::All | Packets::Frames { .. } => 0x0003,
         }
     }
 
-    /// Returns mask, value and offset of each compared word, in network byte order.
-    fn keys(&self) -> Vec<([u8; 4], [u8; 4], u32)> {
-        let Some(network) = self.network else { return vec![([0; 4], [0; 4], 0)] };
+    /// Returns mask, value and offset of each compared word, in network byte order. Offsets are from the network header.
+    pub(crate) fn keys(&self) -> Vec<([u8; 4], [u8; 4], u32)> {
+        let (field, network) = match self.packets {
+            Packets::All => return vec![([0; 4], [0; 4], 0)],
+            Packets::Frames { from, to } => {
+                let [a, b, c, d, e, f] = to;
+                let [g, h, i, j, k, l] = from;
+                let words = [[a, b, c, d], [e, f, g, h], [i, j, k, l]];
+                return words.into_iter().zip(ETHERNET).map(|(word, at)| ([0xff; 4], word, at)).collect();
+            }
+            Packets::Network(field, network) => (field, network),
+        };
         let (address, start) = match network.address() {
-            IpAddr::V4(v4) => (v4.octets().to_vec(), offset(V4, self.field)),
-            IpAddr::V6(v6) => (v6.octets().to_vec(), offset(V6, self.field)),
+            IpAddr::V4(v4) => (v4.octets().to_vec(), offset(V4, field)),
+            IpAddr::V6(v6) => (v6.octets().to_vec(), offset(V6, field)),
         };
         let word = |(i, value): (usize, &[u8])| {
             let bits = u32::from(network.prefix()).saturating_sub(i as u32 * 32).min(32);
@@ -116,8 +146,8 @@ impl Filter {
                 _ => {}
             }
         }
-        let (Some(verdict), Some((field, network))) = (verdict, selected) else { return Ok(None) };
-        let filter = Self { network, field, verdict, priority };
+        let (Some(verdict), Some(packets)) = (verdict, selected) else { return Ok(None) };
+        let filter = Self { packets, verdict, priority };
         Ok((filter.protocol() == protocol).then_some(filter))
     }
 }
@@ -141,12 +171,12 @@ fn redirect(actions: &[u8]) -> Result<Option<u32>, DecodeError> {
     Ok(None)
 }
 
-fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<IpNetwork>)>, DecodeError> {
+fn read_selector(value: &[u8], protocol: u16) -> Result<Option<Packets>, DecodeError> {
     let keys = value.get(SELECTOR_HEADER..).ok_or(DecodeError("a filter's selector is too short"))?;
     let (fields, length) = match protocol {
         0x0800 => (V4, 4),
         0x86dd => (V6, 16),
-        _ => return Ok(Some((Field::Destination, None))),
+        _ => return Ok(Some(read_frames(keys)?.unwrap_or(Packets::All))),
     };
     let mut address = vec![0_u8; length];
     let mut prefix = 0;
@@ -168,7 +198,23 @@ fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Ip
         4 => IpAddr::from([address[0], address[1], address[2], address[3]]),
         _ => IpAddr::from(<[u8; 16]>::try_from(address).expect("an address of IPv6 has 16 bytes")),
     };
-    Ok(field.and_then(|field| Some((field, Some(IpNetwork::new(address, prefix)?)))))
+    Ok(field.and_then(|field| Some(Packets::Network(field, IpNetwork::new(address, prefix)?))))
+}
+
+/// Reads the comparison of both MAC addresses; `None` if the keys compare anything else.
+fn read_frames(keys: &[u8]) -> Result<Option<Packets>, DecodeError> {
+    if keys.len() != ETHERNET.len() * KEY {
+        return Ok(None);
+    }
+    let mut words = [0_u8; 12];
+    for ((key, offset), place) in keys.chunks_exact(KEY).zip(ETHERNET).zip(words.chunks_exact_mut(4)) {
+        if word(key, 2)? != offset {
+            return Ok(None);
+        }
+        place.copy_from_slice(&key[4..8]);
+    }
+    let [a, b, c, d, e, f, g, h, i, j, k, l] = words;
+    Ok(Some(Packets::Frames { to: [a, b, c, d, e, f], from: [g, h, i, j, k, l] }))
 }
 
 #[cfg(test)]
@@ -186,7 +232,15 @@ mod tests {
                 IpNetwork::new(bits.to_be_bytes().into(), prefix)
             };
             let field = if source { Field::Source } else { Field::Destination };
-            let filter = Filter { network, field, verdict: Verdict::Class(Handle::class(class)), priority };
+            let packets = Packets::of(field, network);
+            let filter = Filter { packets, verdict: Verdict::Class(Handle::class(class)), priority };
+            prop_assert_eq!(Filter::decode(&filter.encode(), filter.protocol(), priority), Ok(Some(filter)));
+        }
+
+        #[test]
+        fn filters_of_frames_are_read_back(from: [u8; 6], to: [u8; 6], class in 1_u16.., priority: u16) {
+            let packets = Packets::Frames { from, to };
+            let filter = Filter { packets, verdict: Verdict::Class(Handle::class(class)), priority };
             prop_assert_eq!(Filter::decode(&filter.encode(), filter.protocol(), priority), Ok(Some(filter)));
         }
 
@@ -200,8 +254,7 @@ mod tests {
 
     #[test]
     fn redirect_filters_are_read_back() {
-        let all =
-            Filter { network: None, field: Field::Destination, verdict: Verdict::Redirect(7), priority: 9 };
+        let all = Filter { packets: Packets::All, verdict: Verdict::Redirect(7), priority: 9 };
         assert_eq!(Filter::decode(&all.encode(), 3, 9), Ok(Some(all)));
     }
 }

@@ -16,6 +16,7 @@ mod record;
 mod request;
 mod route;
 mod rule;
+mod sharing;
 mod structure;
 mod tree;
 
@@ -33,3 +34,4 @@ pub use loss::Loss;
 pub use netem::{Jitter, Netem};
 pub use record::{Owner, Record};
 pub use rule::{Counters, DisciplineError, Replaced, Rule, Side};
+pub use sharing::{Share, Sharing};

@@ -4,7 +4,7 @@
 use std::fmt;
 
 use crate::{
-    filter::{Field, Filter, Verdict},
+    filter::{Field, Filter, Packets, Verdict},
     handle::Handle,
     loss::Loss,
     netem::Netem,
@@ -28,12 +28,39 @@ pub(crate) enum Verb {
 pub(crate) enum Discipline {
     /// NetEm; `before` is its state before a change.
     Netem { netem: Netem, before: Option<Netem> },
-    /// Hierarchical token buckets, used only to hold classes. Packets that match no filter pass at once.
-    Htb,
+    /// Hierarchical token buckets. Packets that match no filter are in the class `default`; those without one pass at once.
+    Htb { default: u16 },
     /// Attachment point of ingress filters.
     Ingress,
     /// A foreign discipline as it was found.
     Foreign { kind: String, options: Vec<u8> },
+}
+
+/// The rates of a class of HTB.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Shape {
+    pub(crate) parent: Handle,
+    /// Assured rate, bit/s.
+    pub(crate) rate_bps: u64,
+    /// The most, bit/s.
+    pub(crate) ceiling_bps: u64,
+    /// Bytes of a turn.
+    pub(crate) quantum: u32,
+    /// Bytes of tokens that it keeps, of each rate.
+    pub(crate) burst: u64,
+}
+
+impl Shape {
+    /// A rate that no packet waits for, bit/s: 1 Tbit/s.
+    pub(crate) const UNLIMITED_BPS: u64 = 1_000_000_000_000;
+    /// A class that delays nothing, with 1 ms of tokens.
+    pub(crate) const OPEN: Self = Self {
+        parent: Handle::OURS,
+        rate_bps: Self::UNLIMITED_BPS,
+        ceiling_bps: Self::UNLIMITED_BPS,
+        quantum: 60_000,
+        burst: 125_000_000,
+    };
 }
 
 /// Object of a request.
@@ -45,9 +72,11 @@ pub(crate) enum Object {
         handle: Handle,
         discipline: Discipline,
     },
-    /// Our class with this number.
+    /// Our class with this number; `before` is its shape before a change.
     Class {
         number: u16,
+        shape: Shape,
+        before: Option<Shape>,
     },
     Filter {
         parent: Handle,
@@ -75,9 +104,6 @@ const FILTER: u16 = 44;
 const KIND: u16 = 1;
 const OPTIONS: u16 = 2;
 
-/// Rate of a class in bytes per second: 1 Tbit/s, i.e. unlimited.
-const CLASS_RATE: u64 = 125_000_000_000;
-
 impl Request {
     /// Returns the request that undoes this one.
     pub(crate) fn undo(&self) -> Self {
@@ -86,11 +112,13 @@ impl Request {
             Verb::Add => Verb::Delete,
             Verb::Delete => Verb::Add,
             Verb::Change => {
-                if let Object::Discipline { discipline: Discipline::Netem { netem, before }, .. } =
-                    &mut object
-                    && let Some(before) = before
-                {
-                    std::mem::swap(netem, before);
+                match &mut object {
+                    Object::Discipline {
+                        discipline: Discipline::Netem { netem, before: Some(before) },
+                        ..
+                    } => std::mem::swap(netem, before),
+                    Object::Class { shape, before: Some(before), .. } => std::mem::swap(shape, before),
+                    _ => {}
                 }
                 Verb::Change
             }
@@ -103,7 +131,7 @@ impl Request {
         match &self.object {
             Object::Discipline { discipline: Discipline::Netem { .. }, .. } => "sch_netem",
             Object::Discipline { discipline: Discipline::Ingress, .. } => "sch_ingress",
-            Object::Discipline { discipline: Discipline::Htb, .. } | Object::Class { .. } => "sch_htb",
+            Object::Discipline { discipline: Discipline::Htb { .. }, .. } | Object::Class { .. } => "sch_htb",
             Object::Discipline { .. } => "discipline of that kind",
             Object::Filter { filter: Filter { verdict: Verdict::Redirect(_), .. }, .. } => {
                 "cls_u32 or act_mirred"
@@ -132,10 +160,10 @@ impl Request {
                 }
                 QDISC
             }
-            Object::Class { number } => {
-                w.raw(&tc(index, Handle::class(*number), Handle::OURS, 0));
+            Object::Class { number, shape, .. } => {
+                w.raw(&tc(index, Handle::class(*number), shape.parent, 0));
                 if delete == 0 {
-                    encode_class(&mut w);
+                    shape.encode(&mut w);
                 }
                 CLASS
             }
@@ -194,7 +222,7 @@ impl Discipline {
     pub(crate) fn kind(&self) -> &str {
         match self {
             Self::Netem { .. } => "netem",
-            Self::Htb => "htb",
+            Self::Htb { .. } => "htb",
             Self::Ingress => "ingress",
             Self::Foreign { kind, .. } => kind,
         }
@@ -206,9 +234,9 @@ impl Discipline {
             Self::Netem { netem, before } => drop(w.bytes(OPTIONS, &netem.encode(before.as_ref()))),
             // `struct tc_htb_glob`: version, rate to quantum, default class, debug, direct packets. Then the queue
             // length for packets that match no class.
-            Self::Htb => {
+            Self::Htb { default } => {
                 w.with(OPTIONS, |w| {
-                    w.words(2, &[3, 10, 0, 0, 0]).words(5, &[crate::netem::QUEUE]);
+                    w.words(2, &[3, 10, u32::from(*default), 0, 0]).words(5, &[crate::netem::QUEUE]);
                 });
             }
             Self::Ingress => {}
@@ -218,17 +246,25 @@ impl Discipline {
     }
 }
 
-/// Encodes a class that delays nothing.
-fn encode_class(w: &mut Writer) {
-    // `struct tc_ratespec` for Ethernet. The rate follows in a 64-bit attribute because it does not fit here.
-    let ratespec = [0_u32.to_ne_bytes(), [0; 4], u32::MAX.to_ne_bytes()].concat();
-    let mut ethernet = ratespec.clone();
-    ethernet[1] = 1;
-    // 1 ms of tokens in ticks of 64 ns; quantum in bytes, level, priority.
-    let rest = [15_625_u32, 15_625, 60_000, 0, 0].map(u32::to_ne_bytes).concat();
-    w.text(KIND, "htb").with(OPTIONS, |w| {
-        w.bytes(1, &[ethernet.clone(), ethernet, rest].concat()).u64(6, CLASS_RATE).u64(7, CLASS_RATE);
-    });
+impl Shape {
+    fn encode(&self, w: &mut Writer) {
+        let [rate, ceiling] = [self.rate_bps, self.ceiling_bps].map(|bps| bps.div_ceil(8));
+        // `struct tc_ratespec` for Ethernet. A rate that does not fit follows in a 64-bit attribute.
+        let ratespec = |bytes: u64| {
+            let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
+            [[0, 1, 0, 0], [0; 4], bytes.to_ne_bytes()].concat()
+        };
+        // Tokens in ticks of 64 ns.
+        let tokens = |bytes: u64| {
+            let ticks = u128::from(self.burst) * 1_000_000_000 / 64 / u128::from(bytes.max(1));
+            u32::try_from(ticks).unwrap_or(u32::MAX)
+        };
+        // Buffers, quantum in bytes, level, priority.
+        let rest = [tokens(rate), tokens(ceiling), self.quantum, 0, 0].map(u32::to_ne_bytes).concat();
+        w.text(KIND, "htb").with(OPTIONS, |w| {
+            w.bytes(1, &[ratespec(rate), ratespec(ceiling), rest].concat()).u64(6, rate).u64(7, ceiling);
+        });
+    }
 }
 
 impl fmt::Display for Request {
@@ -250,19 +286,23 @@ impl fmt::Display for Request {
                 match discipline {
                     Discipline::Netem { netem, .. } if describe => write!(f, " {netem}"),
                     Discipline::Ingress => Ok(()),
-                    Discipline::Htb if describe => f.write_str(" htb"),
+                    Discipline::Htb { default: 0 } if describe => f.write_str(" htb"),
+                    Discipline::Htb { default } if describe => write!(f, " htb default {default:x}"),
                     Discipline::Foreign { kind, .. } => write!(f, " {kind}"),
                     _ => Ok(()),
                 }
             }
-            Object::Class { number } => {
-                write!(
-                    f,
-                    "tc class {verb} dev {dev} parent {} classid {}",
-                    Handle::OURS,
-                    Handle::class(*number)
-                )?;
-                if describe { f.write_str(" htb rate 1tbit") } else { Ok(()) }
+            Object::Class { number, shape, .. } => {
+                let (parent, class) = (shape.parent, Handle::class(*number));
+                write!(f, "tc class {verb} dev {dev} parent {parent} classid {class}")?;
+                match shape {
+                    _ if !describe => Ok(()),
+                    &Shape::OPEN => f.write_str(" htb rate 1tbit"),
+                    Shape { rate_bps, ceiling_bps, quantum, burst, .. } => write!(
+                        f,
+                        " htb rate {rate_bps}bit ceil {ceiling_bps}bit quantum {quantum} burst {burst}b cburst {burst}b"
+                    ),
+                }
             }
             Object::Filter { parent, filter } => {
                 let protocol = match filter.protocol() {
@@ -279,13 +319,20 @@ impl fmt::Display for Request {
                 if !describe {
                     return Ok(());
                 }
-                match filter.network {
-                    Some(network) => {
+                match filter.packets {
+                    Packets::Network(field, network) => {
                         let ip = if protocol == "ip" { "ip" } else { "ip6" };
-                        let field = if filter.field == Field::Source { "src" } else { "dst" };
+                        let field = if field == Field::Source { "src" } else { "dst" };
                         write!(f, " u32 match {ip} {field} {}/{}", network.address(), network.prefix())?;
                     }
-                    None => f.write_str(" u32 match u32 0 0")?,
+                    Packets::Frames { .. } => {
+                        f.write_str(" u32")?;
+                        for (mask, value, offset) in filter.keys() {
+                            let [mask, value] = [mask, value].map(u32::from_be_bytes);
+                            write!(f, " match u32 {value:#010x} {mask:#010x} at {}", offset as i32)?;
+                        }
+                    }
+                    Packets::All => f.write_str(" u32 match u32 0 0")?,
                 }
                 match filter.verdict {
                     Verdict::Class(class) => write!(f, " flowid {class}"),

@@ -60,6 +60,32 @@ pub struct Counters {
     pub waiting: u64,
 }
 
+impl std::ops::Add for Counters {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            bytes: self.bytes + other.bytes,
+            packets: self.packets + other.packets,
+            dropped: self.dropped + other.dropped,
+            waiting: self.waiting + other.waiting,
+        }
+    }
+}
+
+impl Counters {
+    /// Returns what these are ahead of others.
+    #[must_use]
+    pub fn since(self, other: Self) -> Self {
+        Self {
+            bytes: self.bytes.saturating_sub(other.bytes),
+            packets: self.packets.saturating_sub(other.packets),
+            dropped: self.dropped.saturating_sub(other.dropped),
+            waiting: self.waiting.saturating_sub(other.waiting),
+        }
+    }
+}
+
 /// NetEm counts random losses and queue overflows as one number: lost. It does not count duplicated or corrupted
 /// packets.
 impl From<Counters> for LinkCounters {

@@ -5,10 +5,10 @@
 use std::collections::BTreeMap;
 
 use crate::{
-    filter::{Field, Filter, Verdict},
+    filter::{Field, Filter, Packets, Verdict},
     handle::Handle,
     netem::Netem,
-    request::{Discipline, Object, Request, Verb},
+    request::{Discipline, Object, Request, Shape, Verb},
     rule::{Counters, DisciplineError, Replaced},
 };
 use cotorra_graph::IpNetwork;
@@ -46,6 +46,8 @@ pub(crate) struct Tree {
     pub(crate) root: Root,
     /// Rules by network. `None` matches all packets that no other rule matches.
     pub(crate) rules: BTreeMap<Option<IpNetwork>, Installed>,
+    /// Counters of all NetEms.
+    pub(crate) counters: Counters,
 }
 
 /// Number of priorities reserved for filters of each prefix length.
@@ -72,16 +74,21 @@ impl Tree {
         self.request(verb, Object::Discipline { parent, handle, discipline })
     }
 
+    /// Request for a class that delays nothing.
+    fn class(&self, verb: Verb, number: u16) -> Request {
+        self.request(verb, Object::Class { number, shape: Shape::OPEN, before: None })
+    }
+
     fn filter(&self, verb: Verb, network: Option<IpNetwork>, number: u16, priority: u16) -> Request {
         let verdict = Verdict::Class(Handle::class(number));
-        let filter = Filter { network, field: self.field, verdict, priority };
+        let filter = Filter { packets: Packets::of(self.field, network), verdict, priority };
         self.request(verb, Object::Filter { parent: Handle::OURS, filter })
     }
 
     /// Requests that create a rule in a class.
     fn add_rule(&self, network: Option<IpNetwork>, number: u16, priority: u16, netem: Netem) -> [Request; 3] {
         [
-            self.request(Verb::Add, Object::Class { number }),
+            self.class(Verb::Add, number),
             self.leaf(Verb::Add, number, netem, None),
             self.filter(Verb::Add, network, number, priority),
         ]
@@ -140,7 +147,7 @@ impl Tree {
             if let Some(all) = &all {
                 requests.push(self.leaf(Verb::Delete, 0, all.netem.clone(), None));
             }
-            requests.push(self.root(Verb::Add, Discipline::Htb));
+            requests.push(self.root(Verb::Add, Discipline::Htb { default: 0 }));
             if let Some(all) = all {
                 let (number, priority) = classes.free(None)?;
                 requests.extend(self.add_rule(None, number, priority, all.netem.clone()));
@@ -186,7 +193,7 @@ impl Tree {
         vec![
             self.filter(Verb::Delete, network, rule.number, rule.priority),
             self.leaf(Verb::Delete, rule.number, rule.netem.clone(), None),
-            self.request(Verb::Delete, Object::Class { number: rule.number }),
+            self.class(Verb::Delete, rule.number),
         ]
     }
 
@@ -194,7 +201,7 @@ impl Tree {
     pub(crate) fn clear(&self) -> Vec<Request> {
         match self.root {
             Root::Default | Root::Foreign { .. } => Vec::new(),
-            Root::Classes => vec![self.root(Verb::Delete, Discipline::Htb)],
+            Root::Classes => vec![self.root(Verb::Delete, Discipline::Htb { default: 0 })],
             Root::Plain => {
                 let netem = self.rules.get(&None).map(|rule| rule.netem.clone()).unwrap_or_default();
                 vec![self.leaf(Verb::Delete, 0, netem, None)]
@@ -228,8 +235,8 @@ mod tests {
         #[test]
         fn set_rules_are_changed_in_place(rules in prop::collection::vec((any_network(), any_netem()), 1..6)) {
             let interface = (7, "eth0".to_owned());
-            let mut tree =
-                Tree { interface, field: Field::Destination, root: Root::Default, rules: BTreeMap::new() };
+            let (field, counters) = (Field::Destination, Counters::default());
+            let mut tree = Tree { interface, field, root: Root::Default, rules: BTreeMap::new(), counters };
             for (network, netem) in &rules {
                 tree = tree.with(*network, netem).unwrap();
             }

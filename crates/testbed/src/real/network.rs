@@ -2,18 +2,18 @@
 //! machine's kernel or in that of an agent. In that case the fabric still keeps the state, so that conditions, scales and
 //! rejections are the same, and the kernel applies the results.
 
-use std::sync::Arc;
+use std::{iter::repeat, sync::Arc};
 
-use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
-use cotorra_fabric::Fabric;
+use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed, ReservedHop};
+use cotorra_fabric::{Fabric, PinnedPath};
 use cotorra_graph::{
     AccessPoint, AgentId, Attachment, ConditionChange, Conditions, Direction, Emulation, Lateness,
     LinkContext, LinkId, NodeId, RadioContext, RealLink, Testbed, ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
-    check_switch_on_in_fabric, provision_in_fabric, scan_in_fabric, suggest_in_fabric, switch_off_in_fabric,
-    switch_on_in_fabric, test_fabric_throughput,
+    check_switch_on_in_fabric, pin_in_fabric, provision_in_fabric, scan_in_fabric, suggest_in_fabric,
+    switch_off_in_fabric, switch_on_in_fabric, test_fabric_throughput,
 };
 
 use crate::{
@@ -200,6 +200,24 @@ impl Network for RealNetwork {
             told.push(before);
         }
         Ok(after)
+    }
+
+    /// Bridges have one path between two hosts: only the reservations are the kernel's.
+    fn pin(&self, paths: Vec<PinnedPath>) -> Result<Result<(), InstructionError>, NetworkGone> {
+        pin_in_fabric(self, paths.clone())?;
+        let Some(kernel) = &self.kernel else { return Ok(Ok(())) };
+        let reserved = self.with(move |fabric, _| {
+            let hops = |PinnedPath { from, to, links, reservation }: &PinnedPath| {
+                let hops = fabric.check_path(from, to, links).unwrap_or_default().into_iter();
+                let hop = |((link, direction), reservation)| {
+                    let (from, to) = (from.clone(), to.clone());
+                    ReservedHop { link, direction, from, to, reservation }
+                };
+                reservation.map(|reservation| hops.zip(repeat(reservation)).map(hop).collect::<Vec<_>>())
+            };
+            paths.iter().filter_map(hops).flatten().collect::<Vec<_>>()
+        })?;
+        Ok(kernel.reserve(&reserved).map_err(|error| InstructionError(error.to_string())))
     }
 
     fn test_throughput(
