@@ -3,11 +3,10 @@
 use axum::{
     Router,
     extract::{Path, State},
-    http::{HeaderMap, StatusCode},
-    response::{IntoResponse as _, Response},
+    response::Response,
     routing::{MethodRouter, get},
 };
-use cotorra_mec::{Base, Id, Json, Parameters, Problem, changed, created, if_match, json, shown};
+use cotorra_mec::{Base, Id, Parameters, Problem, json};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
@@ -32,25 +31,13 @@ pub fn router(service: &Service) -> Router {
         ("/queries/zones/{zoneId}/accessPoints", get(access_points)),
         ("/queries/zones/{zoneId}/accessPoints/{accessPointId}", get(access_point)),
     ];
-    let subscriptions = [
-        ("/subscriptions/area", "/subscriptions/area/{subscriptionId}", List::Area),
-        ("/subscriptions/distance", "/subscriptions/distance/{subscriptionId}", List::Distance),
-        ("/subscriptions/users", "/subscriptions/users/{subscriptionId}", List::Users),
-        ("/subscriptions/zones", "/subscriptions/zones/{subscriptionId}", List::Zones),
+    let lists: [(&'static str, MethodRouter<Service>); 4] = [
+        ("/subscriptions/area", get(|service, base, given| links(List::Area, service, base, given))),
+        ("/subscriptions/distance", get(|service, base, given| links(List::Distance, service, base, given))),
+        ("/subscriptions/users", get(|service, base, given| links(List::Users, service, base, given))),
+        ("/subscriptions/zones", get(|service, base, given| links(List::Zones, service, base, given))),
     ];
-    let lists = subscriptions.map(|(path, ..)| path);
-    let subscriptions = subscriptions.into_iter().flat_map(|(path, one, list)| {
-        let links = get(move |service, base, parameters| links(list, service, base, parameters))
-            .post(move |service, base, body| subscribe(list, service, base, body));
-        let subscription =
-            get(move |service, base, id, headers| subscription(list, service, base, id, headers))
-                .put(move |service, base, id, headers, body| {
-                    resubscribe(list, service, base, id, headers, body)
-                })
-                .delete(move |service, id, headers| unsubscribe(list, service, id, headers));
-        [(path, links), (one, subscription)]
-    });
-    cotorra_mec::router(service, queries.into_iter().chain(subscriptions), &lists)
+    cotorra_mec::router(service, queries.into_iter().chain(lists))
 }
 
 /// Answers with an object that has a value as its only attribute.
@@ -199,47 +186,4 @@ async fn links(
     };
     let links = service.with(|location| location.links(&base, list, is_wanted));
     Ok(wrapped("notificationSubscriptionList", &links))
-}
-
-async fn subscribe(list: List, State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
-    let subscription = Subscription::read(list, &body)?;
-    service.check(&subscription).await?;
-    let now = service.now();
-    let resource = service.with(|location| location.subscribe(now, &base, subscription))?;
-    service.wake();
-    Ok(created(&resource))
-}
-
-async fn subscription(
-    list: List,
-    State(service): State<Service>,
-    Base(base): Base,
-    Id(id): Id,
-    headers: HeaderMap,
-) -> Answer {
-    Ok(shown(&headers, &service.with(|location| location.subscription(&base, list, &id))?))
-}
-
-async fn resubscribe(
-    list: List,
-    State(service): State<Service>,
-    Base(base): Base,
-    Id(id): Id,
-    headers: HeaderMap,
-    Json(body): Json,
-) -> Answer {
-    service.with(|location| location.subscription(&base, list, &id))?;
-    let subscription = Subscription::read(list, &body)?;
-    service.check(&subscription).await?;
-    let (now, if_match) = (service.now(), if_match(&headers));
-    let resource = service.with(|location| location.resubscribe(now, &base, &id, if_match, subscription))?;
-    service.wake();
-    Ok(changed(&resource))
-}
-
-async fn unsubscribe(list: List, State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
-    let now = service.now();
-    service.with(|location| location.unsubscribe(now, list, &id, if_match(&headers)))?;
-    service.wake();
-    Ok(StatusCode::NO_CONTENT.into_response())
 }

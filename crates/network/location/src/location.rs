@@ -1,12 +1,12 @@
 //! The service as a state machine, without a clock or a socket: surveys and requests go in with the time, answers and
 //! notifications come out.
 
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
 use cotorra_graph::Timestamp;
 use cotorra_mec::{
-    Dispatch, Epoch, InvalidRequest, LinkType, Machine, Notifying, RequestError, Resource, Subscribed,
-    Subscriptions, Target, TimeStamp,
+    Dispatch, Epoch, InvalidRequest, LinkType, Machine, Notifying, RequestError, Subscribed, Subscriptions,
+    Target, TimeStamp,
 };
 use serde_json::json;
 
@@ -87,84 +87,6 @@ impl Location {
         self.view("").distance(query)
     }
 
-    /// Creates a subscription.
-    ///
-    /// # Errors
-    /// [`RequestError`]; then there is none.
-    pub fn subscribe(
-        &mut self,
-        now: Timestamp,
-        base: &str,
-        subscription: Subscription,
-    ) -> Result<Resource<Subscription>, RequestError> {
-        self.check(&subscription)?;
-        self.subscriptions.add(now, base, subscription)
-    }
-
-    /// Replaces a subscription by another of its type.
-    ///
-    /// # Errors
-    /// [`RequestError`]; then nothing has changed.
-    pub fn resubscribe(
-        &mut self,
-        now: Timestamp,
-        base: &str,
-        id: &str,
-        if_match: Option<&str>,
-        subscription: Subscription,
-    ) -> Result<Resource<Subscription>, RequestError> {
-        self.check(&subscription)?;
-        self.subscriptions.replace(now, base, id, if_match, subscription)
-    }
-
-    /// Checks that a subscription is about things that exist.
-    fn check(&self, subscription: &Subscription) -> Result<(), InvalidRequest> {
-        subscription.check_constraints()?;
-        let zone = |zone: &str| match self.site.has_zone(zone) {
-            true => Ok(()),
-            false => Err(InvalidRequest::Unsupported("there is no zone with this zoneId here")),
-        };
-        let user = |address: &String| match self.site.has_user(address) {
-            true => Ok(()),
-            false => Err(InvalidRequest::Unsupported(
-                "there is no user with this address; an address is `acr:` and the name of a robot",
-            )),
-        };
-        match subscription {
-            Subscription::UserLocationEventSubscription(s) => {
-                user(&s.address)?;
-                let named = s.user_event_para.as_ref().and_then(|para| para.zone_id.as_deref());
-                named.map_or(Ok(()), zone)
-            }
-            Subscription::UserLocationPeriodicSubscription(s) => user(&s.address),
-            Subscription::ZoneLocationEventSubscription(s) => {
-                zone(&s.zone_id)?;
-                s.address_list.iter().try_for_each(user)
-            }
-            Subscription::ZoneStatusSubscription(s) => zone(&s.zone_id),
-            Subscription::UserAreaSubscription(s) => {
-                s.address_list.iter().try_for_each(user)?;
-                Area::new(&s.area_define, &self.view("")).map(|_| ())
-            }
-            Subscription::UserDistanceSubscription(s) => {
-                s.monitored_address.iter().chain(&s.reference_address).try_for_each(user)
-            }
-        }
-    }
-
-    /// Returns a subscription.
-    ///
-    /// # Errors
-    /// [`RequestError::NotFound`].
-    pub fn subscription(
-        &self,
-        base: &str,
-        list: List,
-        id: &str,
-    ) -> Result<Resource<Subscription>, RequestError> {
-        self.subscriptions.get(base, list.path(), id)
-    }
-
     /// Returns links to the subscriptions of a list that are wanted.
     pub fn links(
         &self,
@@ -183,20 +105,6 @@ impl Location {
             subscription: all.map(link).collect(),
         }
     }
-
-    /// Ends a subscription. Waiting notifications are not sent.
-    ///
-    /// # Errors
-    /// [`RequestError`].
-    pub fn unsubscribe(
-        &mut self,
-        now: Timestamp,
-        list: List,
-        id: &str,
-        if_match: Option<&str>,
-    ) -> Result<(), RequestError> {
-        self.subscriptions.remove(now, list.path(), id, if_match)
-    }
 }
 
 impl Machine for Location {
@@ -210,6 +118,44 @@ impl Machine for Location {
 
     fn observe(&mut self, survey: Survey) {
         self.survey = survey;
+    }
+
+    fn check(&self, subscription: &Subscription) -> Result<(), RequestError> {
+        let zone = |zone: &str| match self.site.has_zone(zone) {
+            true => Ok(()),
+            false => Err(InvalidRequest::Unsupported("there is no zone with this zoneId here")),
+        };
+        let user = |address: &String| match self.site.has_user(address) {
+            true => Ok(()),
+            false => Err(InvalidRequest::Unsupported(
+                "there is no user with this address; an address is `acr:` and the name of a robot",
+            )),
+        };
+        let exists = match subscription {
+            Subscription::UserLocationEventSubscription(s) => {
+                user(&s.address)?;
+                let named = s.user_event_para.as_ref().and_then(|para| para.zone_id.as_deref());
+                named.map_or(Ok(()), zone)
+            }
+            Subscription::UserLocationPeriodicSubscription(s) => user(&s.address),
+            Subscription::ZoneLocationEventSubscription(s) => {
+                zone(&s.zone_id)?;
+                s.address_list.iter().try_for_each(user)
+            }
+            Subscription::ZoneStatusSubscription(s) => zone(&s.zone_id),
+            Subscription::UserAreaSubscription(s) => {
+                s.address_list.iter().try_for_each(user)?;
+                Area::new(&s.area_define, &self.view("")).map(|_| ())
+            }
+            Subscription::UserDistanceSubscription(s) => {
+                s.monitored_address.iter().chain(&s.reference_address).try_for_each(user)
+            }
+        };
+        Ok(exists?)
+    }
+
+    fn schedule(&self, now: Timestamp, subscription: &Subscription) -> Schedule {
+        Schedule::new(now, subscription)
     }
 
     fn subscriptions(&mut self) -> &mut Subscriptions<Subscription> {
@@ -230,14 +176,20 @@ impl Machine for Location {
 
 impl Subscribed for Subscription {
     const SERVICE: &'static str = "Location API";
+    const LISTS: &'static [&'static str] =
+        &[List::Users.path(), List::Zones.path(), List::Area.path(), List::Distance.path()];
     type Schedule = Schedule;
+
+    fn read(list: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
+        Self::read(list, body)
+    }
 
     fn type_name(&self) -> &'static str {
         Subscription::type_name(self)
     }
 
-    fn list(&self) -> &'static str {
-        Subscription::list(self).path()
+    fn list(&self) -> Cow<'static, str> {
+        Subscription::list(self).path().into()
     }
 
     fn notifying(&self) -> &Notifying {
@@ -250,10 +202,6 @@ impl Subscribed for Subscription {
 
     fn check(&self) -> Result<(), InvalidRequest> {
         self.check_constraints()
-    }
-
-    fn schedule(&self, now: Timestamp) -> Schedule {
-        Schedule::new(now, self)
     }
 
     fn deadline(schedule: &Schedule) -> Option<Timestamp> {
@@ -269,7 +217,5 @@ impl Subscribed for Subscription {
     }
 }
 
-#[cfg(test)]
-mod conformance;
 #[cfg(test)]
 mod tests;

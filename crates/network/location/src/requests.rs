@@ -250,7 +250,7 @@ impl List {
     pub const ALL: [Self; 4] = [Self::Users, Self::Zones, Self::Area, Self::Distance];
 
     /// Returns its path below the service's.
-    pub fn path(self) -> &'static str {
+    pub const fn path(self) -> &'static str {
         match self {
             Self::Users => "subscriptions/users",
             Self::Zones => "subscriptions/zones",
@@ -265,9 +265,9 @@ impl Subscription {
     ///
     /// # Errors
     /// [`InvalidRequest::Malformed`] with the place.
-    pub fn read(list: List, body: &[u8]) -> Result<Self, InvalidRequest> {
+    pub(crate) fn read(list: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
         let subscription: Self = cotorra_mec::read(body)?;
-        if subscription.list() != list {
+        if subscription.list().path() != list {
             return InvalidRequest::malformed(format!(
                 "a {} belongs to {}",
                 subscription.type_name(),

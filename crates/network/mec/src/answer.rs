@@ -1,46 +1,13 @@
 //! Answers of resources, with entity tags.
 
 use axum::{
-    Router,
     body::Body,
     http::{HeaderMap, StatusCode, header},
-    middleware,
     response::{IntoResponse, Response},
-    routing::{MethodRouter, get},
 };
 use serde::Serialize;
 
-use crate::{
-    conditional::is_known,
-    extract::{check, text},
-    problem::Problem,
-    service::{Machine, Service},
-    subscribing::Resource,
-    websocket,
-};
-
-/// Returns a router of resources. Every answer follows the standard, also for unknown paths and methods. The lists of
-/// subscriptions are at these paths, below which each subscription has its WebSocket.
-pub fn router<M: Machine>(
-    service: &Service<M>,
-    resources: impl IntoIterator<Item = (&'static str, MethodRouter<Service<M>>)>,
-    lists: &[&str],
-) -> Router {
-    let no_path = || async { Problem::new(StatusCode::NOT_FOUND, "there is no such path here") };
-    let no_method =
-        || async { Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method not allowed: see `Allow`") };
-    let router =
-        resources.into_iter().fold(Router::new(), |router, (path, methods)| router.route(path, methods));
-    lists
-        .iter()
-        .fold(router, |router, list| {
-            router.route(&format!("{list}/{{subscriptionId}}/websocket"), get(websocket::open::<M>))
-        })
-        .fallback(no_path)
-        .method_not_allowed_fallback(no_method)
-        .layer(middleware::from_fn(check))
-        .with_state(service.clone())
-}
+use crate::{conditional::is_known, extract::text, subscribing::Resource};
 
 /// Answers with JSON and its entity tag, or with 304 if the requester has it already.
 pub fn tagged(headers: &HeaderMap, etag: String, body: impl Into<Body>) -> Response {

@@ -58,15 +58,15 @@ impl<M: Machine> FromRequestParts<Service<M>> for Base {
     }
 }
 
-/// The last segment of a path.
+/// The last parameter of a path.
 pub struct Id(pub String);
 
 impl<S: Send + Sync> FromRequestParts<S> for Id {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
-        match Path::from_request_parts(parts, state).await {
-            Ok(Path(id)) => Ok(Self(id)),
+        match Path::<Vec<(String, String)>>::from_request_parts(parts, state).await {
+            Ok(Path(parameters)) => Ok(Self(parameters.into_iter().next_back().unwrap_or_default().1)),
             Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
         }
     }

@@ -104,7 +104,7 @@ impl From<RequestError> for Problem {
             RequestError::TooOften(error) => return error.into(),
             RequestError::Invalid(InvalidRequest::Malformed(_)) => StatusCode::BAD_REQUEST,
             RequestError::Invalid(InvalidRequest::Unsupported(_)) => StatusCode::UNPROCESSABLE_ENTITY,
-            RequestError::Full => StatusCode::FORBIDDEN,
+            RequestError::Full | RequestError::State(_) => StatusCode::FORBIDDEN,
             RequestError::NotFound { .. } => StatusCode::NOT_FOUND,
             RequestError::Changed(_) => StatusCode::PRECONDITION_FAILED,
         };

@@ -36,3 +36,25 @@ pub fn authority(parts: &Parts) -> Result<Authority, Problem> {
         _ => Err(Problem::bad_request("the `Host` header is missing or invalid")),
     }
 }
+
+/// Returns the scheme and authority of a URI.
+pub fn origin(uri: &str) -> &str {
+    let authority = uri.find("://").map_or(0, |at| at + "://".len());
+    uri[authority..].find('/').map_or(uri, |end| &uri[..authority + end])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn origins_end_before_the_path() {
+        for (uri, expected) in [
+            ("http://h:1/a/b", "http://h:1"),
+            ("http://[::1]:7/", "http://[::1]:7"),
+            ("http://h", "http://h"),
+        ] {
+            assert_eq!(origin(uri), expected);
+        }
+    }
+}

@@ -12,8 +12,8 @@ use crate::{
     delivery::{Dispatch, Notifier, post, resolve},
     outbox::Outcome,
     sockets::Sockets,
-    subscribing::RequestError,
-    subscriptions::{Subscribed, Subscriptions, Target},
+    subscribing::{RequestError, Resource},
+    subscriptions::{Scheduled, Subscribed, Subscriptions, Target},
 };
 
 /// Interval of surveys while there are subscriptions. The testbed changes without notice.
@@ -35,11 +35,65 @@ pub trait Machine: Send + 'static {
     /// Replaces the survey.
     fn observe(&mut self, survey: Self::Survey);
 
+    /// Checks that a subscription is about something that the service has.
+    ///
+    /// # Errors
+    /// [`RequestError`].
+    fn check(&self, subscription: &Self::Subscription) -> Result<(), RequestError>;
+
+    /// Starts the schedule of a subscription's notifications.
+    fn schedule(
+        &self,
+        now: Timestamp,
+        subscription: &Self::Subscription,
+    ) -> <Self::Subscription as Subscribed>::Schedule;
+
     /// Returns the subscriptions.
     fn subscriptions(&mut self) -> &mut Subscriptions<Self::Subscription>;
 
     /// Composes due notifications, and returns those to send now.
     fn poll(&mut self, now: Timestamp) -> Vec<Dispatch<Target>>;
+
+    /// Creates a subscription. `base` is the URI under which the consumer sees the service.
+    ///
+    /// # Errors
+    /// [`RequestError`]; then there is none.
+    fn subscribe(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        subscription: Self::Subscription,
+    ) -> Result<Resource<Self::Subscription>, RequestError> {
+        let scheduled = scheduled(self, now, subscription)?;
+        self.subscriptions().add(now, base, scheduled)
+    }
+
+    /// Replaces a subscription by another of its type. Waiting notifications are kept if the target stays the same.
+    ///
+    /// # Errors
+    /// [`RequestError`]; then nothing has changed.
+    fn resubscribe(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        id: &str,
+        if_match: Option<&str>,
+        subscription: Self::Subscription,
+    ) -> Result<Resource<Self::Subscription>, RequestError> {
+        let scheduled = scheduled(self, now, subscription)?;
+        self.subscriptions().replace(now, base, id, if_match, scheduled)
+    }
+}
+
+/// Checks a subscription, and starts its schedule.
+fn scheduled<M: Machine + ?Sized>(
+    machine: &M,
+    now: Timestamp,
+    subscription: M::Subscription,
+) -> Result<Scheduled<M::Subscription>, RequestError> {
+    subscription.check()?;
+    machine.check(&subscription)?;
+    Ok(Scheduled { schedule: machine.schedule(now, &subscription), subscription })
 }
 
 /// The testbed of a service.

@@ -132,6 +132,9 @@ pub enum RequestError {
     /// The resource was changed meanwhile.
     #[error("the resource has changed since the version in `If-Match`: it is {0} now")]
     Changed(String),
+    /// The state of the resource does not permit it.
+    #[error("{0}")]
+    State(&'static str),
     /// The limit is reached.
     #[error("there are {MOST} already: delete some first")]
     Full,

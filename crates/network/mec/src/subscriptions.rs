@@ -1,9 +1,10 @@
 //! Subscriptions of consumers to a service, without a clock or a socket: requests go in with the time, notifications
 //! come out. The service composes the notifications.
 
-use std::{collections::BTreeMap, fmt::Debug, sync::Arc, time::Duration};
+use std::{borrow::Cow, collections::BTreeMap, fmt::Debug, sync::Arc, time::Duration};
 
 use cotorra_graph::Timestamp;
+use serde::Serialize;
 
 use crate::{
     callback::Callback,
@@ -48,17 +49,25 @@ impl Target {
 }
 
 /// A subscription of a standard.
-pub trait Subscribed: Clone + Debug + Send + 'static {
+pub trait Subscribed: Clone + Debug + Serialize + Send + Sync + 'static {
     /// Name of the service, for messages to the operator.
     const SERVICE: &'static str;
+    /// Paths of the lists of subscriptions, below the service's: `subscriptions`. A path can have parameters.
+    const LISTS: &'static [&'static str];
     /// What decides when notifications are due.
     type Schedule: Debug + Send;
+
+    /// Parses the JSON of a subscription that is to be in a list.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Malformed`] with the place.
+    fn read(list: &str, body: &[u8]) -> Result<Self, InvalidRequest>;
 
     /// Returns the name of its type.
     fn type_name(&self) -> &'static str;
 
-    /// Returns the path of the list that it is in, below the service's: `subscriptions`.
-    fn list(&self) -> &'static str;
+    /// Returns the path of the list that it is in, below the service's.
+    fn list(&self) -> Cow<'static, str>;
 
     /// Returns the target and end of its notifications.
     fn notifying(&self) -> &Notifying;
@@ -71,9 +80,6 @@ pub trait Subscribed: Clone + Debug + Send + 'static {
     /// # Errors
     /// [`InvalidRequest`].
     fn check(&self) -> Result<(), InvalidRequest>;
-
-    /// Starts the schedule of its notifications.
-    fn schedule(&self, now: Timestamp) -> Self::Schedule;
 
     /// Returns when a notification may be due even if nothing changes.
     fn deadline(schedule: &Self::Schedule) -> Option<Timestamp>;
@@ -102,6 +108,12 @@ struct Expiry {
     at: Timestamp,
     /// Time of the expiry notification; `None` once it was sent.
     notice: Option<Timestamp>,
+}
+
+/// A checked subscription with the schedule of its notifications.
+pub(crate) struct Scheduled<S: Subscribed> {
+    pub(crate) subscription: S,
+    pub(crate) schedule: S::Schedule,
 }
 
 /// The subscriptions to a service.
@@ -140,42 +152,47 @@ impl<S: Subscribed> Subscriptions<S> {
     ///
     /// # Errors
     /// [`RequestError`]; then there is none.
-    pub fn add(&mut self, now: Timestamp, base: &str, subscription: S) -> Result<Resource<S>, RequestError> {
+    pub(crate) fn add(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        Scheduled { subscription, schedule }: Scheduled<S>,
+    ) -> Result<Resource<S>, RequestError> {
         self.admit(now)?;
-        let (target, expiry) = self.check(now, &subscription)?;
+        let (target, expiry) = self.target(now, &subscription)?;
         if self.held.len() >= MOST {
             return Err(RequestError::Full);
         }
         let (id, version) = (self.number(), self.number());
         let outbox = Outbox::new(target != Target::WebSocket);
-        let (schedule, list) = (subscription.schedule(now), subscription.list());
-        let href = uri(base, list, id);
+        let list = subscription.list();
+        let href = uri(base, &list, id);
         self.hold(id, Held { schedule, href, subscription, target, version, outbox, expiry });
-        self.get(base, list, &id.to_string())
+        self.get(base, &list, &id.to_string())
     }
 
     /// Replaces a subscription by another of its type. Waiting notifications are kept if the target stays the same.
     ///
     /// # Errors
     /// [`RequestError`]; then nothing has changed.
-    pub fn replace(
+    pub(crate) fn replace(
         &mut self,
         now: Timestamp,
         base: &str,
         id: &str,
         if_match: Option<&str>,
-        subscription: S,
+        Scheduled { subscription, schedule }: Scheduled<S>,
     ) -> Result<Resource<S>, RequestError> {
         self.admit(now)?;
         let list = subscription.list();
-        let (number, held) = self.find(list, id)?;
+        let (number, held) = self.find(&list, id)?;
         let (type_name, version) = (held.subscription.type_name(), held.version);
-        let (target, expiry) = self.check(now, &subscription)?;
+        let (target, expiry) = self.target(now, &subscription)?;
         if type_name != subscription.type_name() {
             let what = format!("the subscription is a {type_name}, which cannot change");
             return Err(InvalidRequest::Malformed(what).into());
         }
-        let href = uri(base, list, number);
+        let href = uri(base, &list, number);
         if let Some(links) = &subscription.notifying().links
             && !links.itself.href.ends_with(&format!("/{list}/{number}"))
         {
@@ -185,9 +202,9 @@ impl<S: Subscribed> Subscriptions<S> {
         let old = self.held.remove(&number);
         let kept = old.filter(|old| old.target == target).map(|old| old.outbox);
         let outbox = kept.unwrap_or_else(|| Outbox::new(target != Target::WebSocket));
-        let (version, schedule) = (self.number(), subscription.schedule(now));
+        let version = self.number();
         self.hold(number, Held { schedule, href, subscription, target, version, outbox, expiry });
-        self.get(base, list, id)
+        self.get(base, &list, id)
     }
 
     fn hold(&mut self, id: u64, mut held: Held<S>) {
@@ -199,9 +216,8 @@ impl<S: Subscribed> Subscriptions<S> {
         self.held.insert(id, held);
     }
 
-    /// Checks a subscription, and returns its target and its expiry.
-    fn check(&self, now: Timestamp, subscription: &S) -> Result<(Target, Option<Expiry>), RequestError> {
-        subscription.check()?;
+    /// Returns the target of a subscription, and its expiry.
+    fn target(&self, now: Timestamp, subscription: &S) -> Result<(Target, Option<Expiry>), RequestError> {
         let target = Target::of(subscription.notifying())?;
         let Some(deadline) = subscription.notifying().expiry_deadline else { return Ok((target, None)) };
         let at = self.epoch.run_time(deadline).min(now + LONGEST_LIFE);
@@ -249,7 +265,7 @@ impl<S: Subscribed> Subscriptions<S> {
     pub fn all<'a>(&'a self, base: &'a str) -> impl Iterator<Item = (&'a S, String)> {
         self.held.iter().map(move |(id, held)| {
             let subscription = &held.subscription;
-            (subscription, uri(base, subscription.list(), *id))
+            (subscription, uri(base, &subscription.list(), *id))
         })
     }
 

@@ -1,6 +1,6 @@
 //! Subscriptions of this service, as the common parts of ETSI MEC hold them.
 
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
 use cotorra_graph::Timestamp;
 use cotorra_mec::Subscribed;
@@ -16,7 +16,12 @@ pub(crate) const SUBSCRIPTIONS: &str = "subscriptions";
 
 impl Subscribed for Subscription {
     const SERVICE: &'static str = "WAIS";
+    const LISTS: &'static [&'static str] = &[SUBSCRIPTIONS];
     type Schedule = Schedule;
+
+    fn read(_: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
+        Self::read(body)
+    }
 
     fn type_name(&self) -> &'static str {
         match self {
@@ -26,8 +31,8 @@ impl Subscribed for Subscription {
         }
     }
 
-    fn list(&self) -> &'static str {
-        SUBSCRIPTIONS
+    fn list(&self) -> Cow<'static, str> {
+        SUBSCRIPTIONS.into()
     }
 
     fn notifying(&self) -> &Notifying {
@@ -48,10 +53,6 @@ impl Subscribed for Subscription {
 
     fn check(&self) -> Result<(), InvalidRequest> {
         self.check_constraints()
-    }
-
-    fn schedule(&self, now: Timestamp) -> Schedule {
-        Schedule::new(now, self)
     }
 
     fn deadline(schedule: &Schedule) -> Option<Timestamp> {

@@ -6,10 +6,11 @@ mod configured;
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::Timestamp;
-use cotorra_mec::{Dispatch, Machine, Query, RequestError, Resource, Subscribed as _, Subscriptions, Target};
+use cotorra_mec::{Dispatch, Machine, Query, RequestError, Subscribed as _, Subscriptions, Target};
 
 use self::configured::Configured;
 use crate::{
+    notification::Schedule,
     requests::{InvalidRequest, Subscription, SubscriptionLink, SubscriptionLinkList},
     subscribed::SUBSCRIPTIONS,
     survey::{Site, Survey},
@@ -54,54 +55,6 @@ impl Wais {
         listing.answer(query)
     }
 
-    /// Creates a subscription. `base` is the URI under which the consumer sees the service.
-    ///
-    /// # Errors
-    /// [`RequestError`]; then there is none.
-    pub fn subscribe(
-        &mut self,
-        now: Timestamp,
-        base: &str,
-        subscription: Subscription,
-    ) -> Result<Resource<Subscription>, RequestError> {
-        self.check(&subscription)?;
-        self.subscriptions.add(now, base, subscription)
-    }
-
-    /// Replaces a subscription by another of its type. Waiting notifications are kept if the target stays the same.
-    ///
-    /// # Errors
-    /// [`RequestError`]; then nothing has changed.
-    pub fn resubscribe(
-        &mut self,
-        now: Timestamp,
-        base: &str,
-        id: &str,
-        if_match: Option<&str>,
-        subscription: Subscription,
-    ) -> Result<Resource<Subscription>, RequestError> {
-        self.check(&subscription)?;
-        self.subscriptions.replace(now, base, id, if_match, subscription)
-    }
-
-    /// Checks that a subscription is about something in scope.
-    fn check(&self, subscription: &Subscription) -> Result<(), RequestError> {
-        if let Subscription::AssocStaSubscription(s) = subscription
-            && !self.site.serves(s.ap_id.bssid)
-        {
-            return Err(InvalidRequest::Unsupported("there is no access point with this bssid here").into());
-        }
-        Ok(())
-    }
-
-    /// Returns a subscription.
-    ///
-    /// # Errors
-    /// [`RequestError::NotFound`].
-    pub fn subscription(&self, base: &str, id: &str) -> Result<Resource<Subscription>, RequestError> {
-        self.subscriptions.get(base, SUBSCRIPTIONS, id)
-    }
-
     /// Returns links to all subscriptions, or to those of one type.
     pub fn subscription_links(&self, base: &str, type_name: Option<&str>) -> SubscriptionLinkList {
         let all = self.subscriptions.all(base).map(|(subscription, href)| SubscriptionLink {
@@ -113,19 +66,6 @@ impl Wais {
             links: SelfLink::to(format!("{base}/{SUBSCRIPTIONS}")),
             subscription: all.filter(wanted).collect(),
         }
-    }
-
-    /// Ends a subscription. Waiting notifications are not sent.
-    ///
-    /// # Errors
-    /// [`RequestError`].
-    pub fn unsubscribe(
-        &mut self,
-        now: Timestamp,
-        id: &str,
-        if_match: Option<&str>,
-    ) -> Result<(), RequestError> {
-        self.subscriptions.remove(now, SUBSCRIPTIONS, id, if_match)
     }
 }
 
@@ -141,6 +81,19 @@ impl Machine for Wais {
     fn observe(&mut self, survey: Survey) {
         self.survey = survey;
         self.listings.forget();
+    }
+
+    fn check(&self, subscription: &Subscription) -> Result<(), RequestError> {
+        if let Subscription::AssocStaSubscription(s) = subscription
+            && !self.site.serves(s.ap_id.bssid)
+        {
+            return Err(InvalidRequest::Unsupported("there is no access point with this bssid here").into());
+        }
+        Ok(())
+    }
+
+    fn schedule(&self, now: Timestamp, subscription: &Subscription) -> Schedule {
+        Schedule::new(now, subscription)
     }
 
     fn subscriptions(&mut self) -> &mut Subscriptions<Subscription> {

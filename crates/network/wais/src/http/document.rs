@@ -19,10 +19,10 @@ use super::routes;
         routes::ap_information,
         routes::sta_information,
         routes::subscriptions,
-        routes::subscribe,
-        routes::subscription,
-        routes::resubscribe,
-        routes::unsubscribe,
+        subscriptions::subscribe,
+        subscriptions::subscription,
+        subscriptions::resubscribe,
+        subscriptions::unsubscribe,
         routes::measurements,
         routes::configure,
         routes::measurement,
@@ -32,6 +32,39 @@ use super::routes;
     components(schemas(crate::notification::Notification, cotorra_mec::ProblemDetails))
 )]
 struct Document;
+
+/// The resources that all services have.
+#[allow(dead_code, reason = "only their descriptions are used")]
+mod subscriptions {
+    use crate::requests::Subscription;
+
+    /// Subscribe to notifications.
+    #[utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
+        request_body = Subscription,
+        responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
+            cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
+    pub(super) async fn subscribe() {}
+
+    /// A subscription.
+    #[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+        params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
+        responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
+            (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
+    pub(super) async fn subscription() {}
+
+    /// Replace a subscription by another of its type.
+    #[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+        request_body = Subscription,
+        params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
+        responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
+    pub(super) async fn resubscribe() {}
+
+    /// End a subscription.
+    #[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+        params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
+        responses((status = 204, description = "it has ended"), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
+    pub(super) async fn unsubscribe() {}
+}
 
 #[test]
 fn the_document_is_the_one_that_is_checked_in() {

@@ -15,15 +15,11 @@ use crate::wais::Wais;
 pub type Service = cotorra_mec::Service<Wais>;
 
 /// The resources; [`openapi`] describes them.
-fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
+fn resources() -> [(&'static str, MethodRouter<Service>); 5] {
     [
         ("/queries/ap/ap_information", get(routes::ap_information)),
         ("/queries/sta/sta_information", get(routes::sta_information)),
-        ("/subscriptions", get(routes::subscriptions).post(routes::subscribe)),
-        (
-            "/subscriptions/{subscriptionId}",
-            get(routes::subscription).put(routes::resubscribe).delete(routes::unsubscribe),
-        ),
+        ("/subscriptions", get(routes::subscriptions)),
         ("/measurements", get(routes::measurements).post(routes::configure)),
         (
             "/measurements/{measurementConfigId}",
@@ -39,7 +35,7 @@ pub fn openapi() -> String {
 
 /// Returns the resources of a service.
 pub fn router(service: &Service) -> Router {
-    cotorra_mec::router(service, resources(), &["/subscriptions"])
+    cotorra_mec::router(service, resources())
 }
 
 #[cfg(test)]

@@ -10,10 +10,7 @@ use cotorra_mec::{
 };
 
 use super::Service;
-use crate::{
-    requests::{MeasurementConfig, Subscription},
-    view::Kind,
-};
+use crate::{requests::MeasurementConfig, view::Kind};
 
 type Answer = Result<Response, Problem>;
 
@@ -94,67 +91,6 @@ pub(super) async fn subscriptions(
     };
     let list = service.with(|wais| wais.subscription_links(&base, type_name));
     Ok(json(&list))
-}
-
-/// Subscribe to notifications.
-#[utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
-    request_body = Subscription,
-    responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
-pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
-    let subscription = Subscription::read(&body)?;
-    service.check(&subscription).await?;
-    let now = service.now();
-    let resource = service.with(|wais| wais.subscribe(now, &base, subscription))?;
-    service.wake();
-    Ok(created(&resource))
-}
-
-/// A subscription.
-#[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
-    params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), cotorra_mec::RequestProblems))]
-pub(super) async fn subscription(
-    State(service): State<Service>,
-    Base(base): Base,
-    Id(id): Id,
-    headers: HeaderMap,
-) -> Answer {
-    Ok(shown(&headers, &service.with(|wais| wais.subscription(&base, &id))?))
-}
-
-/// Replace a subscription by another of its type.
-#[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
-    request_body = Subscription,
-    params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
-pub(super) async fn resubscribe(
-    State(service): State<Service>,
-    Base(base): Base,
-    Id(id): Id,
-    headers: HeaderMap,
-    Json(body): Json,
-) -> Answer {
-    service.with(|wais| wais.subscription(&base, &id))?;
-    let subscription = Subscription::read(&body)?;
-    service.check(&subscription).await?;
-    let now = service.now();
-    let resource =
-        service.with(|wais| wais.resubscribe(now, &base, &id, if_match(&headers), subscription))?;
-    service.wake();
-    Ok(changed(&resource))
-}
-
-/// End a subscription.
-#[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
-    params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), cotorra_mec::RequestProblems, cotorra_mec::ChangeProblems))]
-pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
-    let now = service.now();
-    service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
-    service.wake();
-    Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 /// Links to measurement configurations.
