@@ -1,0 +1,102 @@
+//! A testbed for tests: where its applications are, at a time that the test sets.
+
+use std::{collections::BTreeMap, path::Path, sync::Arc};
+
+use cotorra_graph::{NodeId, Nodes, Placement, Timestamp, VnfId};
+use cotorra_mec::{Dispatch, Epoch, Machine, Outcome};
+use serde_json::Value;
+
+use crate::{Applications, Site};
+
+pub(crate) const EPOCH: Epoch = Epoch { unix_ns: 1_000_000_000_000 };
+
+const FILE: &str = "
+name: rooms
+wireless: { lab: { standard: n } }
+nodes:
+  r1: { kind: robot, position: [1, 1] }
+  west: { kind: radio_unit, position: [0, 0], channel: 1 }
+  lan: { kind: switch }
+  edge: { kind: server, tier: edge, cpus: 8, memory: 8 GB }
+  cloud: { kind: server, tier: cloud, cpus: 8, memory: 8 GB }
+links:
+  - { ends: [lan, [west, edge, cloud]], rate: 100 Mbit/s }
+services:
+  navigation:
+    robot: r1
+    kpis: { service_time: 50 ms }
+    vnfs:
+      robot-driver: { program: robot_driver, pinned_to: r1 }
+      navigation: { program: navigation, node: cloud, cpus: 1, memory: 1 GB }
+      planner: { command: [sleep, '1'], node: edge, cpus: 1, memory: 1 GB }
+walks:
+  r1: { waypoints: [[1, 1], [2, 1]] }
+";
+
+/// The applications of the testbed, and the current time.
+pub(crate) struct World {
+    pub(crate) site: Arc<Site>,
+    pub(crate) now: f64,
+    placements: BTreeMap<VnfId, Placement>,
+    wanted: BTreeMap<VnfId, Nodes>,
+}
+
+fn vnf(name: &str) -> VnfId {
+    VnfId::new(name).unwrap()
+}
+
+fn node(name: &str) -> Nodes {
+    NodeId::new(name).unwrap().into()
+}
+
+impl World {
+    pub(crate) fn new() -> Self {
+        let testbed = cotorra_testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap();
+        let port = |vnf: &VnfId| (*vnf == *"navigation").then_some(5000);
+        let site = Arc::new(Site::new(&testbed, port));
+        let mut world = Self { site, now: 0.0, placements: BTreeMap::new(), wanted: BTreeMap::new() };
+        for (name, on) in [("robot-driver", "r1"), ("navigation", "cloud"), ("planner", "edge")] {
+            world.serve(name, on);
+        }
+        world
+    }
+
+    /// Has a VNF serve on a node.
+    pub(crate) fn serve(&mut self, name: &str, on: &str) {
+        self.placements.insert(vnf(name), Placement { vnf: vnf(name), node: node(on) });
+    }
+
+    /// Accepts a `place`.
+    pub(crate) fn place(&mut self, name: &str, on: &str) {
+        self.wanted.insert(vnf(name), node(on));
+    }
+
+    pub(crate) fn remove(&mut self, name: &str) {
+        self.placements.remove(&vnf(name));
+        self.wanted.remove(&vnf(name));
+    }
+
+    pub(crate) fn at(&self) -> Timestamp {
+        Timestamp::from_secs_f64(self.now)
+    }
+
+    pub(crate) fn survey(&self) -> Applications {
+        self.site.survey(self.at(), &self.placements, &self.wanted, &BTreeMap::new())
+    }
+
+    /// Shows the applications to a machine, and returns the notifications that it sends. All are delivered.
+    pub(crate) fn sent<M: Machine<Survey = Applications>>(&self, machine: &mut M) -> Vec<Value> {
+        machine.observe(self.survey());
+        let mut sent = Vec::new();
+        loop {
+            let dispatches = machine.poll(self.at());
+            if dispatches.is_empty() {
+                return sent;
+            }
+            for Dispatch { subscription, attempt, body, .. } in dispatches {
+                sent.push(serde_json::from_str(&body).unwrap());
+                machine.subscriptions().done(self.at(), subscription, attempt, Outcome::Delivered);
+            }
+        }
+    }
+}
