@@ -117,6 +117,10 @@ class Client:
         """κ of every robot; `health` lists what is wrong with it, and is empty for one that is well."""
         return self._ask("robots")
 
+    def candidates(self, robot: str) -> list[JSON]:
+        """Radio units that a robot can use, with the delay over the air to each, `uplink` and `downlink`, and its `source`."""
+        return self._ask(f"robots/{parse.quote(robot)}/candidates")
+
     def sensors(self, robot: str) -> list[JSON]:
         """The sensors of a robot beside what its context has, each with its last reading."""
         return self._ask(f"robots/{parse.quote(robot)}/sensors")
@@ -130,7 +134,7 @@ class Client:
             return LargeData(answer.read(), answer.headers["X-Cotorra-Format"], *map(int, told))
 
     def links(self) -> list[JSON]:
-        """d, λ and conditions of every link, in both directions."""
+        """d, λ and conditions of every link, in both directions, with configured, measured and available `figures`."""
         return self._ask("network/links")
 
     def radio_units(self) -> list[JSON]:

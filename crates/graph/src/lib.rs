@@ -8,6 +8,7 @@ mod active;
 mod axis;
 mod border;
 mod bounds;
+mod candidate;
 mod conditions;
 mod container;
 mod containers;
@@ -26,6 +27,7 @@ mod hardware;
 mod id;
 mod instruction;
 mod jitter;
+mod link_figures;
 mod lost_at;
 mod machine_context;
 mod map;
@@ -57,6 +59,7 @@ pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use axis::Axis;
 pub use border::Border;
 pub use bounds::TooLong;
+pub use candidate::{Candidate, candidates};
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};
 pub use container::{EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use containers::Containers;
@@ -94,6 +97,9 @@ pub use id::{
 };
 pub use instruction::Instruction;
 pub use jitter::{Correlation, CorrelationTime, InvalidCorrelation, Jitter, JitterDistribution};
+pub use link_figures::{
+    DelayFigure, DelayFigures, FigureSource, LinkFigures, ThroughputFigure, ThroughputFigures, available_bps,
+};
 pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
     CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,

@@ -16,9 +16,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    Emulation, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext, NodeId, Placement,
-    PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed,
-    Timestamp, VirtualLinkMapping, WaisSettings, Walk,
+    Candidate, Emulation, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext, NodeId,
+    Placement, PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime,
+    Testbed, Timestamp, VirtualLinkMapping, WaisSettings, Walk,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -392,7 +392,16 @@ impl Client {
         self.get(&format!("robots/{robot}"), &[])
     }
 
-    /// d, λ and conditions of every link, in both directions.
+    /// Radio units that a robot can use, with the delay over the air to each.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if nothing is known of the robot.
+    pub fn candidates(&self, robot: &NodeId) -> Result<Vec<Candidate>, ClientError> {
+        self.get(&format!("robots/{robot}/candidates"), &[])
+    }
+
+    /// d, λ and conditions of every link, in both directions. [`LinkContext::figures`] returns configured, measured and
+    /// available figures.
     ///
     /// # Errors
     /// [`ClientError`].

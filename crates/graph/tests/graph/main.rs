@@ -1,4 +1,5 @@
 //! Graphs of testbed files.
 
+mod candidates;
 mod mean_signal;
 mod routing;

@@ -24,6 +24,7 @@ use super::{capture, clock, coverage, map, measurements, routes, sensors, stream
         routes::machine,
         routes::robots,
         routes::robot,
+        routes::candidates,
         sensors::sensors,
         sensors::large_data,
         routes::links,

@@ -20,7 +20,7 @@ use super::{
     context::Context,
     stream::parse_kinds,
     turns::TURNS,
-    types::{Failure, GapBody, Path, Query, RunBody},
+    types::{Failure, GapBody, LinkState, Path, Query, RunBody},
 };
 use crate::report::{Fidelity, ServiceKpis};
 
@@ -133,10 +133,10 @@ pub(super) async fn robot_history(
     .await
 }
 
-/// Returns d, λ and conditions of one direction of a link over time.
+/// Returns d, λ and conditions of one direction of a link over time, with configured, measured and available figures.
 #[utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<cotorra_graph::LinkContext>>)))]
+    responses((status = 200, body = Page<Sample<LinkState>>)))]
 pub(super) async fn link_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -153,7 +153,9 @@ pub(super) async fn link_history(
     }
     let direction = part.direction.unwrap_or(Direction::Forward);
     ask(context, caller.whose(), part.run, move |history, run, present| {
-        history.link_series(run, &id, direction, part.until(present), part.page())
+        let page = history.link_series(run, &id, direction, part.until(present), part.page())?;
+        let state = |Sample { at, value }| Sample { at, value: LinkState::from(value) };
+        Ok(Page { items: page.items.into_iter().map(state).collect(), next: page.next })
     })
     .await
 }

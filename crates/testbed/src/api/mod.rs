@@ -113,7 +113,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 36] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 37] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/clock", get(clock::clock).post(clock::control)),
@@ -123,6 +123,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 36] {
         ("/api/v1/network/nodes/{id}/machine", get(routes::machine)),
         ("/api/v1/robots", get(routes::robots)),
         ("/api/v1/robots/{id}", get(routes::robot)),
+        ("/api/v1/robots/{id}/candidates", get(routes::candidates)),
         ("/api/v1/robots/{id}/sensors", get(sensors::sensors)),
         ("/api/v1/robots/{id}/sensors/{name}/{reading}", get(sensors::large_data)),
         ("/api/v1/network/links", get(routes::links)),

@@ -2,7 +2,7 @@
 
 use axum::{Extension, Json, extract::State, http::HeaderMap};
 use cotorra_graph::{
-    Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
+    Candidate, Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
     VirtualLinkMapping, VnfId,
 };
 
@@ -94,12 +94,43 @@ pub(super) async fn robot(
         Some(view) => robot.and_then(|robot| view.robot(&robot)),
         None => robot,
     };
-    robot
-        .map(Json)
-        .ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`, or nothing is known of it yet")))
+    robot.map(Json).ok_or_else(|| unknown_robot(&id))
 }
 
-/// Returns d, λ and conditions of every link, in both directions.
+/// Returns the radio units that a robot can use, with the delay over the air to each, d(r,R): measured on the own one, else
+/// estimated from its other stations, else configured.
+#[utoipa::path(get, path = "/api/v1/robots/{id}/candidates", tag = "robots",
+    params(("id" = String, Path)),
+    responses((status = 200, body = Vec<Candidate>)))]
+pub(super) async fn candidates(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<NodeId>,
+) -> Answer<Vec<Candidate>> {
+    caller.sees(&id, |view| view.owns(&id))?;
+    let candidates = context.live.read(|now| {
+        let robot = now.robots.get(&id)?;
+        let seen = match &caller.view {
+            Some(view) => view.robot(robot)?,
+            None => robot.clone(),
+        };
+        let others = now.robots.values().filter(|other| caller.keeps(|view| view.owns(&other.robot)));
+        let stations: Vec<_> =
+            others.filter_map(|other| Some((&other.robot, other.attached_to()?))).collect();
+        let link = |link: &LinkId, direction| {
+            let key = (link.clone(), direction);
+            Some((now.links.get(&key)?, now.at.since(*now.links_at.get(&key)?)))
+        };
+        Some(cotorra_graph::candidates(&seen, &context.testbed.graph, &stations, link))
+    });
+    candidates.map(Json).ok_or_else(|| unknown_robot(&id))
+}
+
+fn unknown_robot(id: &NodeId) -> Failure {
+    Failure::not_found(format!("there is no robot `{id}`, or nothing is known of it yet"))
+}
+
+/// Returns d, λ and conditions of every link, in both directions, with configured, measured and available figures.
 #[utoipa::path(get, path = "/api/v1/network/links", tag = "network",
     responses((status = 200, body = Vec<LinkBody>)))]
 pub(super) async fn links(

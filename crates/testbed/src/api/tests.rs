@@ -2,6 +2,7 @@
 
 mod applications;
 mod bounds;
+mod links;
 mod machines;
 mod tls;
 
@@ -529,8 +530,10 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
             "{path}: {status} {body}"
         );
     }
-    let large_data = "/api/v1/robots/robot/sensors/front/latest";
-    assert_eq!([ONE, TWO].map(|token| served.get(token, large_data).0), [404, 403]);
+    for unknown in ["sensors/front/latest", "candidates"] {
+        let path = format!("/api/v1/robots/robot/{unknown}");
+        assert_eq!([ONE, TWO].map(|token| served.get(token, &path).0), [404, 403], "{unknown}");
+    }
     for path in ["service-times", "events"] {
         let items = |token| {
             let (status, body) = served.get(token, &format!("/api/v1/measurements/{path}"));

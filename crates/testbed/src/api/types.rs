@@ -9,8 +9,8 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{
-    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, MachineContext, Node, Nodes,
-    PluginSpec, Service, Testbed, Timestamp, Vnf, VnfEvent, Walk, millis,
+    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, LinkFigures, MachineContext,
+    Node, Nodes, PluginSpec, Service, Testbed, Timestamp, Vnf, VnfEvent, Walk, millis,
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use cotorra_mec::Problem;
@@ -61,18 +61,33 @@ pub(super) struct NodeBody {
     pub(super) namespace: Option<PathBuf>,
 }
 
-/// One direction of a link, and the age of this context. Ages of active measurements count up to the context's time.
+/// One direction of a link, and the age of this context. Ages of measurements count up to the context's time.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct LinkBody {
     #[serde(flatten)]
-    context: LinkContext,
+    state: LinkState,
     /// Age, milliseconds.
     age_ms: f64,
 }
 
 impl LinkBody {
     pub(super) fn new(context: LinkContext, age: Duration) -> Self {
-        Self { context, age_ms: age.as_secs_f64() * 1e3 }
+        Self { state: context.into(), age_ms: millis::of(age) }
+    }
+}
+
+/// One direction of a link, with configured, measured and available figures.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct LinkState {
+    #[serde(flatten)]
+    context: LinkContext,
+    /// Its figures.
+    figures: LinkFigures,
+}
+
+impl From<LinkContext> for LinkState {
+    fn from(context: LinkContext) -> Self {
+        Self { figures: context.figures(), context }
     }
 }
 
