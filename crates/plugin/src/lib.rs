@@ -31,12 +31,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`vnf`], [`wire`] and [`convert`] are for VNFs, which talk to robots over the network under test.
+//! [`links`] has figures of links for plug-ins that compare them. [`vnf`], [`wire`] and [`convert`] are for VNFs, which talk to robots over the network under test.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod client;
 pub mod convert;
+pub mod links;
 pub mod runs;
 pub mod settings;
 pub mod vnf;

@@ -7,8 +7,6 @@
 
 mod coverage;
 mod exploration;
-mod history;
-mod measured;
 mod model;
 mod network_view;
 mod paths;
@@ -22,17 +20,19 @@ use cotorra_graph::{
     Event, Instruction, LinkId, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service,
     Testbed, Timestamp, VirtualLink,
 };
-use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
+use cotorra_plugin::{
+    Actions, Plugin,
+    links::{LinkHistory, Memory},
+    settings::InvalidSettings,
+};
 
 pub use crate::{
-    history::LinkHistory,
     model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
     placement::place,
     search::{Infeasible, Placed, Search, Slack},
 };
 use crate::{
-    measured::Memory,
-    network_view::{Concerned, NetworkView},
+    network_view::{Air, Concerned, NetworkView},
     settings::{Delays, Settings},
 };
 
@@ -203,8 +203,15 @@ fn decide(
         (Roaming::Signal | Roaming::Supplicant(_), _) => attached.into_iter().cloned().collect(),
     };
     let chain = now.service(service, &settings.processing);
-    let placed = match place(&chain, &now.infrastructure(service, &units, &decision.memory), settings.search)
-    {
+    let place_with =
+        |air| place(&chain, &now.infrastructure(service, &units, &decision.memory, air), settings.search);
+    let mut placed = place_with(Air::Measured);
+    // The air is the same for all servers. If it leaves none, the best of them is wanted all the same.
+    let air_breaks = placed.is_err() && now.is_air_beyond(&service.robot, &units, &decision.memory);
+    if air_breaks {
+        placed = place_with(Air::Configured);
+    }
+    let placed = match placed {
         Ok(placed) => placed,
         Err(infeasible) => {
             if !std::mem::replace(&mut decision.warned, true) {
@@ -215,7 +222,10 @@ fn decide(
     };
     decision.warned = false;
     let left = now.leave(service, &placed.paths, &mut decision.memory, settings.measurements.hold);
-    let reason = reason(service, &placed, location, left);
+    let mut reason = reason(service, &placed, location, left);
+    if air_breaks {
+        reason += "; with the air as configured, because no placement keeps the KPIs with the measured one";
+    }
     let paths = paths(service, &placed);
     for Placement { vnf, node } in placed.placement {
         if now.wants_place(&vnf, node.first()) {

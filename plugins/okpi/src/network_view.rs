@@ -10,14 +10,11 @@ use std::{
 
 use cotorra_graph::{
     Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Nodes, Service, ServiceId,
-    Testbed, Timestamp, VnfEvent, VnfId, VnfState,
+    Testbed, Timestamp, VnfEvent, VnfId, VnfState, WirelessNetwork,
 };
+use cotorra_plugin::links::{Beyond, Links, Measurements, Memory, News, RoundTrip};
 
-use crate::{
-    measured::{Beyond, Links, Memory, News},
-    model::{self, Infrastructure, Queue},
-    settings::Measurements,
-};
+use crate::model::{self, Infrastructure, Queue};
 
 /// Services whose decisions an event puts in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +40,13 @@ impl Concerned<'_> {
     }
 }
 
+/// Figures of the air that a decision counts with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Air {
+    Measured,
+    Configured,
+}
+
 /// The testbed according to its events.
 #[derive(Debug)]
 pub(crate) struct NetworkView {
@@ -58,7 +62,7 @@ pub(crate) struct NetworkView {
     mappings: BTreeMap<(VnfId, VnfId), Vec<LinkId>>,
     /// The paths between nodes that were asked for, and for which service.
     paths: BTreeMap<(NodeId, NodeId), (ServiceId, Vec<LinkId>)>,
-    /// Figures of wired links.
+    /// Figures of links.
     links: Links,
     now: Timestamp,
 }
@@ -67,7 +71,7 @@ impl NetworkView {
     /// Creates the view of a testbed as its file has it. With measurements, links count as they are measured, too.
     pub(crate) fn new(testbed: &Testbed, measurements: Option<Measurements>) -> Self {
         Self {
-            links: Links::new(&testbed.graph, measurements),
+            links: Links::new(testbed, measurements),
             now: Timestamp::ZERO,
             placements: testbed.vnfs().map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
             moves: BTreeMap::new(),
@@ -271,6 +275,18 @@ impl NetworkView {
         self.handovers.contains_key(robot)
     }
 
+    /// Returns the figures of a link, no better than they were when the service left it.
+    fn remembered(&self, link: &LinkId, memory: &Memory) -> RoundTrip {
+        let figures = self.links.figures(link);
+        RoundTrip { beyond: memory.with(self.now, link, figures.beyond), ..figures }
+    }
+
+    /// Whether anything was measured beyond the configuration of the air between a robot and one of these radio units.
+    pub(crate) fn is_air_beyond(&self, robot: &NodeId, units: &[NodeId], memory: &Memory) -> bool {
+        let beyond = |unit| self.remembered(&LinkId::wireless(robot, unit), memory).beyond;
+        units.iter().any(|unit| beyond(unit) != Beyond::default())
+    }
+
     /// Returns the infrastructure for a service: all that no other service takes, with these radio units in the robot's
     /// reach, and links that the service left no better than they were.
     pub(crate) fn infrastructure(
@@ -278,6 +294,7 @@ impl NetworkView {
         service: &Service,
         units: &[NodeId],
         memory: &Memory,
+        air: Air,
     ) -> Infrastructure {
         let place: BTreeMap<_, _> =
             self.graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
@@ -298,40 +315,39 @@ impl NetworkView {
             }
         }
         let own = self.carriers(service);
-        let wireless = self.graph.node(&service.robot).and_then(|node| match &node.kind {
+        let wire = |id: LinkId, ends, figures: RoundTrip| {
+            let rate = |rates: &BTreeMap<&LinkId, f64>| rates.get(&id).copied().unwrap_or(0.0);
+            model::Link {
+                free_bps: figures.free_bps(rate(&own), rate(&taken)),
+                round_trip: figures.configured + figures.beyond.delay,
+                reliability: figures.beyond.delivery,
+                wireless: false,
+                id,
+                ends,
+            }
+        };
+        let offers =
+            |network: &WirelessNetwork| service.kpis.radio.is_none_or(|radio| radio == network.standard);
+        let network = self.graph.node(&service.robot).and_then(|node| match &node.kind {
             NodeKind::Robot(robot) => self.graph.wireless.get(&robot.network),
             _ => None,
         });
-        let rate = wireless
-            .and_then(|network| network.rate)
-            .map_or(f64::INFINITY, |rate| rate.bits_per_second() as f64);
-        let radio =
-            wireless.filter(|network| service.kpis.radio.is_none_or(|radio| radio == network.standard));
-        let attachments = radio.into_iter().flat_map(|network| units.iter().map(move |unit| (network, unit)));
-        let attachments = attachments.filter_map(|(network, unit)| {
-            Some(model::Link {
-                id: LinkId::wireless(&service.robot, unit),
-                ends: [*place.get(&service.robot)?, *place.get(unit)?],
-                round_trip: 2 * network.delay,
-                free_bps: rate,
-                reliability: 1.0,
-                wireless: true,
-            })
+        let units = if network.is_some_and(offers) { units } else { &[] };
+        let attachments = units.iter().filter_map(|unit| {
+            let id = LinkId::wireless(&service.robot, unit);
+            let mut figures = self.remembered(&id, memory);
+            if air == Air::Configured {
+                figures.beyond = Beyond::default();
+            }
+            let ends = [*place.get(&service.robot)?, *place.get(unit)?];
+            Some(model::Link { wireless: true, ..wire(id, ends, figures) })
         });
         let wired = self.graph.links.iter().map(|link| {
-            let figures = self.links.figures(&link.id);
-            let beyond = memory.with(self.now, &link.id, figures.beyond);
-            // What was metered includes what this service and others declare.
-            let metered = beyond.load_bps - own.get(&link.id).copied().unwrap_or(0.0);
-            let taken = taken.get(&link.id).copied().unwrap_or(0.0).max(metered);
-            model::Link {
-                id: link.id.clone(),
-                ends: link.ends.each_ref().map(|end| place[end]),
-                round_trip: figures.configured + beyond.delay,
-                free_bps: figures.rate_bps.min(link.medium.bits_per_second() as f64) - taken,
-                reliability: link.reliability.min(beyond.delivery),
-                wireless: false,
-            }
+            let mut figures = self.remembered(&link.id, memory);
+            figures.rate_bps = figures.rate_bps.min(link.medium.bits_per_second() as f64);
+            let ends = link.ends.each_ref().map(|end| place[end]);
+            let wire = wire(link.id.clone(), ends, figures);
+            model::Link { reliability: wire.reliability.min(link.reliability), ..wire }
         });
         Infrastructure { nodes, links: attachments.chain(wired).collect() }
     }
@@ -511,7 +527,7 @@ walks:
         };
         assert!(concerned(&mut now, &event(5)).is_empty());
         assert_eq!(concerned(&mut now, &event(7)), ["first", "second"]);
-        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
+        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default(), Air::Measured);
         assert_eq!(seen.links.last().unwrap().round_trip, Duration::from_millis(12));
     }
 
@@ -520,8 +536,12 @@ walks:
         let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
         let testbed = cotorra_testbed_file::parse("x.yaml", &text, Path::new(""))
             .unwrap_or_else(|wrong| panic!("{wrong}"));
-        let seen =
-            NetworkView::new(&testbed, None).infrastructure(&testbed.services[0], &[], &Memory::default());
+        let seen = NetworkView::new(&testbed, None).infrastructure(
+            &testbed.services[0],
+            &[],
+            &Memory::default(),
+            Air::Measured,
+        );
         let far = seen.links.last().unwrap();
         assert_eq!((far.round_trip, far.free_bps), (Duration::from_millis(20), 2.5e6));
     }
@@ -599,7 +619,7 @@ walks:
         let testbed = testbed();
         let mut now = NetworkView::new(&testbed, None);
         let free = |now: &NetworkView, node: &str| {
-            let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
+            let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default(), Air::Measured);
             let node = seen.nodes.iter().find(|n| n.id == node).unwrap();
             (node.cpus, node.memory_bytes / 1_000_000_000)
         };
@@ -617,7 +637,7 @@ walks:
             path: PathKind::Mapped,
             others: Vec::new(),
         }));
-        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default());
+        let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default(), Air::Measured);
         let free = |name: &str| seen.links.iter().find(|l| l.id == name).unwrap().free_bps;
         assert_eq!((free("lan-near"), free("lan-far")), (8e6, 10e6));
     }

@@ -1,9 +1,12 @@
 //! Settings of the plug-in.
 
-use std::{collections::BTreeMap, num::NonZeroUsize, time::Duration};
+use std::{collections::BTreeMap, num::NonZeroUsize};
 
 use cotorra_graph::{NodeId, Position, ServiceId, Testbed, VnfId};
-use cotorra_plugin::settings::{self, Figure, InvalidSettings};
+use cotorra_plugin::{
+    links::Measurements,
+    settings::{self, Figure, InvalidSettings},
+};
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::{Map, Value};
 
@@ -33,35 +36,6 @@ pub(crate) enum Delays {
     Measured,
     /// The same contexts as the history has them, read at each decision.
     History,
-}
-
-/// Use of measurements.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub(crate) struct Measurements {
-    /// Least delay beyond the configured one that counts, in one direction of a link.
-    #[serde(deserialize_with = "settings::duration")]
-    pub(crate) tolerance: Duration,
-    /// Time for which the highest measured delay counts. Loads and losses are those over it.
-    #[serde(deserialize_with = "window")]
-    pub(crate) window: Duration,
-    /// Longest time between two decisions while measurements differ from the configuration.
-    #[serde(deserialize_with = "every")]
-    pub(crate) every: Duration,
-    /// Time for which the figures of a link count that a service left. It doubles with each return.
-    #[serde(deserialize_with = "settings::duration")]
-    pub(crate) hold: Duration,
-}
-
-impl Default for Measurements {
-    fn default() -> Self {
-        Self {
-            tolerance: Duration::from_millis(1),
-            window: Duration::from_secs(10),
-            every: Duration::from_secs(5),
-            hold: Duration::from_secs(60),
-        }
-    }
 }
 
 /// Settings as a testbed file declares them.
@@ -213,18 +187,6 @@ fn check_names<'a>(
 const RATE: Figure =
     Figure { what: "a rate of 0 /s or more", example: "20 /s", units: &[("/s", 1.0)], range: 0.0..=f64::MAX };
 
-/// A time over which measurements are gathered.
-const WINDOW: Figure =
-    Figure { what: "a time from 1 s to 1 h", example: "10 s", range: 1.0..=3600.0, ..Figure::TIME };
-
-fn window<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
-    WINDOW.deserialize(deserializer).map(Duration::from_secs_f64)
-}
-
-fn every<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
-    Figure { example: "5 s", ..WINDOW }.deserialize(deserializer).map(Duration::from_secs_f64)
-}
-
 fn gamma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     count(deserializer, 1000)
 }
@@ -265,6 +227,8 @@ fn service_rate<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Er
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use proptest::prelude::*;
     use serde_json::json;
 

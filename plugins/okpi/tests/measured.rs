@@ -8,8 +8,8 @@ use cotorra_graph::{
     RobotContext, Testbed, Timestamp, VirtualLinkMapping,
 };
 use cotorra_graph_testing as base;
-use cotorra_okpi::{LinkHistory, Okpi};
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_okpi::Okpi;
+use cotorra_plugin::{Actions, Plugin, links::LinkHistory};
 use serde_json::{Value, json};
 
 const TEXT: &str = "
@@ -39,6 +39,8 @@ struct World {
     testbed: Testbed,
     okpi: Okpi,
     server: String,
+    /// Delay by probes up to the radio unit, ms.
+    air_ms: f64,
     /// Moves with their times and reasons.
     moves: Vec<(f64, String, String)>,
 }
@@ -52,7 +54,7 @@ fn world_of(testbed: Testbed, mut okpi: Okpi) -> World {
     let mut actions = Actions::default();
     okpi.start(Timestamp::ZERO, &testbed, &mut actions);
     assert!(actions.is_empty());
-    let mut world = World { testbed, okpi, server: "cloud".to_owned(), moves: Vec::new() };
+    let mut world = World { testbed, okpi, server: "cloud".to_owned(), air_ms: 1.0, moves: Vec::new() };
     world.tell(0.0, mapping("cloud"));
     world
 }
@@ -72,21 +74,32 @@ fn mapping(server: &str) -> Event {
 /// Contexts of both directions of the link to the cloud, whose probes take so long there.
 fn probed(testbed: &Testbed, delay_ms: f64) -> [LinkContext; 2] {
     let link = testbed.graph.link(&LinkId::new("unit-cloud").unwrap()).unwrap();
+    [
+        probes_of("unit-cloud", Direction::Forward, &link.forward, delay_ms),
+        probes_of("unit-cloud", Direction::Backward, &link.backward, 4.5),
+    ]
+}
+
+/// Contexts of both directions of the air, whose probes take so long up to the radio unit.
+fn air(delay_ms: f64) -> [LinkContext; 2] {
+    let configured = Conditions { delay: Duration::from_millis(1), ..Conditions::default() };
+    [
+        probes_of("robot~unit", Direction::Forward, &configured, delay_ms),
+        probes_of("robot~unit", Direction::Backward, &configured, 1.0),
+    ]
+}
+
+fn probes_of(link: &str, direction: Direction, conditions: &Conditions, delay_ms: f64) -> LinkContext {
     let age = Duration::from_millis(100);
-    [(Direction::Forward, &link.forward, delay_ms), (Direction::Backward, &link.backward, 4.5)].map(
-        |(direction, conditions, delay_ms): (_, &Conditions, f64)| LinkContext {
-            direction,
-            effective: conditions.clone(),
-            probed: Some(Probed {
-                delay: Some(Duration::from_secs_f64(delay_ms / 1e3)),
-                jitter: None,
-                delay_age: Some(age),
-                loss: Some(0.0),
-                loss_age: age,
-            }),
-            ..base::link_context("unit-cloud")
-        },
-    )
+    let probed = Probed {
+        delay: Some(Duration::from_secs_f64(delay_ms / 1e3)),
+        jitter: None,
+        delay_age: Some(age),
+        loss: Some(0.0),
+        loss_age: age,
+    };
+    let effective = conditions.clone();
+    LinkContext { direction, effective, probed: Some(probed), ..base::link_context(link) }
 }
 
 impl World {
@@ -109,7 +122,8 @@ impl World {
         for step in 0..((to - from) * 10.0).round() as u32 {
             let now = from + f64::from(step) / 10.0;
             let contexts = probed(&self.testbed, delay_ms(&self.server));
-            contexts.into_iter().for_each(|context| self.tell(now, Event::Link(context)));
+            let contexts = contexts.into_iter().chain(air(self.air_ms));
+            contexts.for_each(|context| self.tell(now, Event::Link(context)));
             let pose = base::pose(1.0, 0.0, 0.0);
             let attachments = vec![base::attachment("unit", true, None)];
             let context = RobotContext { attachments, ..base::robot_context("robot", pose) };
@@ -130,6 +144,30 @@ fn a_standing_robots_service_leaves_a_link_that_becomes_slow() {
     let mut by_configuration = self::world(json!({ "delays": "asked" }));
     by_configuration.stand(0.0, 40.0, |_| 29.0);
     assert_eq!(by_configuration.moves, []);
+}
+
+#[test]
+fn a_service_moves_nearer_if_the_air_is_slow_all_the_time() {
+    let mut world = world(json!({ "gamma": 100 }));
+    world.air_ms = 5.4;
+    world.stand(0.0, 19.0, |_| 4.5);
+    assert_eq!(world.moves, [], "that can be a scan");
+    world.stand(19.0, 60.0, |_| 4.5);
+    let [(at, server, reason)] = &world.moves[..] else { panic!("{:#?}", world.moves) };
+    assert_eq!((server.as_str(), *at < 23.0), ("edge", true), "{at}");
+    assert!(reason.contains("14.4 ms, 0.6 ms to spare"), "{reason}");
+}
+
+#[test]
+fn servers_count_with_the_configured_air_if_the_measured_one_leaves_none() {
+    let mut world = world(json!({}));
+    world.air_ms = 30.0;
+    world.stand(0.0, 30.0, |_| 4.5);
+    assert_eq!(world.moves, [], "each server is as late");
+    world.stand(30.0, 40.0, |_| 29.0);
+    let [(_, server, reason)] = &world.moves[..] else { panic!("{:#?}", world.moves) };
+    assert_eq!(server, "edge");
+    assert!(reason.contains("slower than configured; with the air as configured"), "{reason}");
 }
 
 #[test]

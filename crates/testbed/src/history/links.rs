@@ -7,7 +7,7 @@ use std::{
 
 use cotorra_graph::{LinkContext, Timestamp};
 use cotorra_measurements::{Error, History, RunId};
-use cotorra_okpi::LinkHistory;
+use cotorra_plugin::links::LinkHistory;
 
 /// A run's history for its plug-ins. They are made before it begins.
 #[derive(Clone, Default)]

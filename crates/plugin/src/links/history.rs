@@ -3,7 +3,8 @@
 use std::fmt;
 
 use cotorra_graph::{LinkContext, Timestamp};
-use cotorra_plugin::client::Client;
+
+use crate::client::Client;
 
 /// A history of links' contexts.
 pub trait LinkHistory: fmt::Debug + Send {
