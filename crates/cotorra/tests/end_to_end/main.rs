@@ -13,6 +13,7 @@ mod chain;
 mod clients;
 mod command_line;
 mod confinement;
+mod congestion;
 mod containers;
 mod coverage;
 mod dashboard;

@@ -2,41 +2,15 @@
 
 use super::*;
 
-/// A robot whose camera sends images to the cloud. They fill the link there.
-const ROOM: &str = "
-name: room
-wireless: { lab: { shadowing: { deviation: 0 dB } } }
-nodes:
-  robot:
-    kind: robot
-    roaming: instructed
-    sensors: { front: { kind: camera, width: 160, height: 120, rate: 50 Hz, to: detector } }
-  unit: { kind: radio_unit, position: [5, 3], channel: 1 }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB, cost: 2 }
-  cloud: { kind: server, tier: cloud, cpus: 8, memory: 16 GB, cost: 1 }
-links:
-  - { ends: [unit, edge], delay: 2 ms, rate: 100 Mbit/s }
-  - { ends: [unit, cloud], delay: 4.5 ms, rate: 7.5 Mbit/s, queue: 30 packets }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      robot-driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: cloud, cpus: 2 }
-    virtual_links: [{ from: robot-driver, to: navigation, rate: 0.5 Mbit/s }]
-  vision:
-    robot: robot
-    kpis: { service_time: 1 s }
-    vnfs:
-      camera-driver: { program: robot_driver, pinned_to: robot, cpus: 0 }
-      detector: { command: [sleep, '1000'], node: cloud }
-walks:
-  robot: { waypoints: [[1, 0], [10, 0]], and_back: true, position_interval: 50 ms }
-plugins:
-  - bundled: okpi
-    settings: { services: [navigation], delays: DELAYS }
-";
+/// Returns the testbed whose robot's camera fills the link to the cloud, and its text, with this source of delays.
+fn room(delays: &str) -> (Testbed, String) {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/congestion.yaml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let text = text.replace("delays: measured", &format!("delays: {delays}"));
+    assert!(text.contains(delays));
+    let testbed = cotorra_testbed_file::parse("congestion.yaml", &text, file.parent().unwrap()).unwrap();
+    (testbed, text)
+}
 
 /// The decisions of a minute, with their times, and the service times of navigation by time of emission.
 #[derive(Debug, PartialEq)]
@@ -46,8 +20,7 @@ struct Minute {
 }
 
 fn minute(delays: &str) -> Minute {
-    let text = ROOM.replace("DELAYS", delays);
-    let testbed = cotorra_testbed_file::parse("room.yaml", &text, Path::new("")).unwrap();
+    let (testbed, _) = room(delays);
     let (mut moves, mut samples) = (Vec::new(), Vec::new());
     for Stamped { at, event } in events_of(&Arc::new(testbed), 1, 60.0) {
         match event {
@@ -118,8 +91,7 @@ fn okpi_decides_as_configured_where_links_do_as_configured() {
 
 #[test]
 fn okpi_reads_measurements_from_the_history_of_its_own_run() {
-    let text = ROOM.replace("DELAYS", "history");
-    let testbed = cotorra_testbed_file::parse("room.yaml", &text, Path::new("")).unwrap();
+    let (testbed, text) = room("history");
     let out = tempfile::tempdir().unwrap();
     let options = Options {
         until: Some(Duration::from_secs(12)),
