@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
 """A cotorra plug-in with a placement algorithm of its own, to be set beside OKpi: after each scan a robot gets the radio
 unit that it receives best, and its navigation the cheapest server from which the answer is back in time, by the delays
-of the radio and of the links on the shortest way. It knows nothing of rates, loads or reliability: OKpi does.
+of the radio and of the links on the shortest way. Links count as measured, and at least as configured. A link over which a packet or
+its answer is lost more often than 1 in 100 is not used, if there is another way. It knows nothing of rates, loads or
+reliability, and forgets what it measured: OKpi does not.
 
 Usage: cheapest_in_time.py [SECONDS BETWEEN SCANS]. Needs nothing but Python; the testbed's address is in COTORRA_API.
 """
@@ -15,7 +17,9 @@ from urllib import error, request
 API = os.environ["COTORRA_API"].rstrip("/") + "/api/v1"
 SCAN_EVERY_S = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
 HYSTERESIS_DB = 4.0  # A robot changes only for a radio unit that is so much stronger, lest it goes back and forth.
-MARGIN_MS = 1.0  # For what no link's delay says: sending, queueing, other stations on the air.
+MARGIN_MS = 1.0  # For what no link's delay says, such as the time of the server.
+MOST_LOST = 0.01  # Share of probes that a link may lose.
+LOSSY_MS = 1000.0  # What a link counts for in addition that loses more.
 
 HEADERS = {"Content-Type": "application/json", "X-Cotorra-Plugin": os.environ.get("COTORRA_PLUGIN", "cheapest-in-time")}
 if token := os.environ.get("COTORRA_TOKEN"):
@@ -49,9 +53,20 @@ def events(*kinds):
                 ask(f"marks/{int(line[4:])}", {})
 
 
+def expected_ms(figures):
+    """The delay of one direction: as measured, and at least as configured."""
+    return max(figures[name]["delay_ms"] for name in ("configured", "measured") if figures[name])
+
+
+def one_way_ms(context):
+    """The delay of one direction of a link, with what its losses count for."""
+    lost = (context["probed"] or {}).get("loss") or 0.0
+    return expected_ms(context["figures"]["delay"]) + (LOSSY_MS if lost > MOST_LOST else 0.0)
+
+
 def round_trips_ms(graph, start):
     """Milliseconds from a node over wires to every other and back, by Dijkstra, as the links are now."""
-    delay = {(c["link"], c["direction"]): c["effective"]["delay_ms"] for c in ask("network/links")}
+    delay = {(c["link"], c["direction"]): one_way_ms(c) for c in ask("network/links")}
     near = {node["id"]: [] for node in graph["nodes"]}
     for link in graph["links"]:
         (a, b), way = link["ends"], delay[link["id"], "forward"] + delay[link["id"], "backward"]
@@ -74,7 +89,7 @@ def place(testbed, service, radio_unit):
     """Puts a service's navigation where it is cheapest in time; where nothing is, where it is quickest."""
     graph, robot = testbed["graph"], service["robot"]
     network = next(node["network"] for node in graph["nodes"] if node["id"] == robot)
-    air_ms = 2 * graph["wireless"][network]["delay_ms"]
+    air_ms = 2 * graph["wireless"][network]["delay_ms"]  # What is measured right after a scan has the scan in it.
     target_ms = service["kpis"]["service_time_target_ms"]
     took_ms = {node: air_ms + way for node, way in round_trips_ms(graph, radio_unit).items()}
     servers = [node for node in graph["nodes"] if node["kind"] == "server" and node["id"] in took_ms]
