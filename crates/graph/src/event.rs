@@ -22,6 +22,7 @@ use crate::{
     part::Part,
     record::{Columns, Fields, Reader, Record, SeriesPart, Source, Table, Unreadable},
     sensor::SensorReading,
+    staleness::{ContextKind, Staleness},
     units::Timestamp,
     vnf_event::VnfEvent,
 };
@@ -265,12 +266,20 @@ events! {
         0 => format!("{robot} moves to {radio_unit}"),
         _ => format!("{robot} does not move to {radio_unit}: status {status}"),
     };
+    /// Age of contexts of one kind that the decision before it was taken on.
+    Staleness(staleness: Staleness) = "staleness", about [Plugin(&staleness.plugin)],
+        text text::staleness(staleness);
 }
 
 impl EventKind {
     /// Kinds whose old samples are rolled up: embeddings that are sampled all the time. Events of other kinds are all
     /// kept.
     pub const SAMPLED: [Self; 5] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor, Self::Machine];
+
+    /// Returns the kind of context, if samples of this kind are rolled up.
+    pub fn context(self) -> Option<ContextKind> {
+        ContextKind::ALL.into_iter().find(|kind| kind.as_str() == self.as_str())
+    }
 }
 
 impl FromStr for EventKind {

@@ -46,6 +46,7 @@ mod schedule;
 mod search;
 mod sensor;
 mod service;
+mod staleness;
 mod testbed;
 mod time_parts;
 mod traffic;
@@ -118,6 +119,7 @@ pub use schedule::{Scheduled, Script, When};
 pub use search::{Arrival, cheapest_paths, steps_back};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
+pub use staleness::{ContextKind, Staleness};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Reservations, Retention,
     Retentions, Testbed, Walk,

@@ -21,6 +21,7 @@ use crate::{
     hardware::Direction,
     id::{ComponentId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
     sensor::DataFormat,
+    staleness::{ContextKind, Staleness},
     units::{BitRate, Dbm, Position, Probability, Timestamp, millis},
     vnf_event::{VnfEvent, VnfState},
 };
@@ -132,6 +133,13 @@ record!(GoalEvent {
     state => "state",
     remaining_m => "remaining_m",
     reason => "reason",
+});
+record!(Staleness {
+    plugin => "plugin",
+    kind => "kind",
+    contexts => "contexts",
+    youngest => "youngest_ms",
+    oldest => "oldest_ms",
 });
 columns! {
     Attachment { radio_unit, attached, signal, age }
@@ -475,6 +483,7 @@ macro_rules! words {
     )* };
 }
 words! {
+    ContextKind: "a kind of context";
     DataFormat: "a format of data";
     GoalState: "a state of a goal";
     PathKind: "a kind of path";

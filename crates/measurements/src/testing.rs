@@ -6,14 +6,14 @@ mod machine;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions, Correlation,
-    CorrelationTime, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Image,
-    InstancePath, Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters, LinkId,
-    LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose,
-    PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
-    RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
-    ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace,
-    Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    AccessPoint, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions, ContextKind,
+    Correlation, CorrelationTime, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState,
+    Image, InstancePath, Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters,
+    LinkId, LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId,
+    Pose, PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext,
+    Rate, Red, RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading,
+    ServiceId, ServiceTime, Staleness, Stamped, StationContext, StationCounts, Tested, ThroughputTest,
+    TimeParts, Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -485,6 +485,15 @@ fn vnf_event() -> impl Strategy<Value = VnfEvent> {
     })
 }
 
+prop_compose! {
+    fn staleness()(
+        plugin in plugin(), kind in select(ContextKind::ALL.to_vec()), contexts: u32,
+        (youngest, oldest) in (duration(), duration()),
+    ) -> Staleness {
+        Staleness { plugin, kind, contexts, youngest, oldest }
+    }
+}
+
 fn position<S: Strategy<Value = f64>>(metres: impl Fn() -> S) -> impl Strategy<Value = Position> {
     (metres(), metres(), metres()).prop_map(|(x, y, z)| Position { x, y, z })
 }
@@ -534,6 +543,7 @@ pub fn event() -> impl Strategy<Value = Event> {
         1 => goal_event().prop_map(Event::Goal),
         1 => reading().prop_map(Event::Sensor),
         1 => machine::context().prop_map(Event::Machine),
+        1 => staleness().prop_map(Event::Staleness),
     ]
 }
 

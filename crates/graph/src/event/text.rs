@@ -16,6 +16,7 @@ use crate::{
     machine_context::{CpuContext, MachineContext},
     queue::QueueLimit,
     sensor::{LargeData, SensorReading},
+    staleness::Staleness,
     vnf_event::VnfEvent,
 };
 
@@ -153,6 +154,12 @@ pub(super) fn machine(context: &MachineContext) -> String {
         format!("read at {:.3} s ± {error:.3} ms", reading.measured.as_secs_f64())
     }));
     format!("{}: {}", context.node, parts.join(", "))
+}
+
+pub(super) fn staleness(staleness: &Staleness) -> String {
+    let Staleness { plugin, kind, contexts, youngest, oldest } = staleness;
+    let contexts = count(*contexts as usize, &format!("{kind} context"));
+    format!("{plugin} decided on {contexts}, {} to {} ms old", millis(*youngest), millis(*oldest))
 }
 
 /// Formats a duration in milliseconds, without the unit.

@@ -95,8 +95,8 @@ impl Shape {
 #[rustfmt::skip]
 const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
-    "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
-    "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
+    "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "kind", "instruction", "subject", "object",
+    "change", "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
     "jitter_distribution", "loss", "trace_ms", "trace_file", "queue_discipline", "part", "interface", "wifi", "signals",
     "lost_at",
 ];

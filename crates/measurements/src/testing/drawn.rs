@@ -15,7 +15,7 @@ use crate::{
 pub(super) fn event() -> impl Strategy<Value = Event> {
     let is_drawn = |kind: &Kind| {
         let table = kind.table();
-        let has_words = matches!(kind, Kind::Decision | Kind::Goal | Kind::Vnf);
+        let has_words = matches!(kind, Kind::Decision | Kind::Goal | Kind::Staleness | Kind::Vnf);
         table.series.is_empty() && table.children.is_none() && !has_words
     };
     let kinds: Vec<_> = Kind::ALL.into_iter().filter(is_drawn).collect();
