@@ -12,6 +12,7 @@ use crate::{
     hardware::{HardwareGraph, Node, NodeKind},
     id::{AgentId, DomainId, NodeId, PluginId},
     map::OccupancyGrid,
+    plugin_distance::PluginDistance,
     schedule::Script,
     service::{Service, Vnf},
     traffic::TrafficSource,
@@ -189,6 +190,9 @@ pub struct PluginSpec {
     /// Instructions that it may give.
     #[serde(default, skip_serializing_if = "InstructionLimit::is_default")]
     pub instructions_per_second: InstructionLimit,
+    /// Distance from the core.
+    #[serde(default, skip_serializing_if = "PluginDistance::is_none")]
+    pub distance: PluginDistance,
     /// Variables that a program gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
     /// `NAME=VALUE`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

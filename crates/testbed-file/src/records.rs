@@ -54,6 +54,8 @@ record! {
         traffic: Table<TrafficId, TrafficRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
+        /// The core, which collects contexts and carries out instructions.
+        core: CoreRecord = {},
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
         /// Replayed conditions of links, in place of those at the links.
@@ -1436,6 +1438,15 @@ record! {
 }
 
 record! {
+    /// Place of the core: docs/use/old-context.md.
+    CoreRecord {
+        /// Server or robot from which contexts of plug-ins with a `node` set off. Without one, the core is beside its
+        /// plug-ins.
+        node: Option<Spanned<NodeId>>,
+    }
+}
+
+record! {
     /// A plug-in: a bundled one, or any program that uses the HTTP API.
     PluginRecord {
         /// Name in this testbed. Without one: the bundled plug-in's.
@@ -1455,6 +1466,13 @@ record! {
         optional: bool = false,
         /// Instructions that it may give in a second, also all at once. One that gives more is cut off.
         instructions_per_second: InstructionLimit = 1000,
+        /// Server or robot that it runs on, in virtual time: contexts and instructions cross the emulated network between
+        /// this node and that of `core`. Without one, it is beside the core.
+        node: Option<Spanned<NodeId>>,
+        /// Time of each context to it, and of each instruction back, in place of a `node`.
+        control_delay: Option<Spanned<Duration>>,
+        /// Time of a decision, in virtual time. In real time, a decision takes what the plug-in takes.
+        decides_in: Duration = "0 ms",
         /// Settings of the plug-in.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }

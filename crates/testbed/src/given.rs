@@ -19,6 +19,13 @@ impl Given {
         Self { plugin, instruction, reason: None }
     }
 
+    /// Returns it as a program would send it.
+    pub(crate) fn json(&self) -> Vec<u8> {
+        let Self { instruction, reason, .. } = self;
+        let json = serde_json::to_vec(&serde_json::json!({ "instruction": instruction, "reason": reason }));
+        json.expect("instructions and texts are JSON")
+    }
+
     /// Returns the decision about it; `refused` is the reason of a rejection.
     pub(crate) fn decided(self, refused: Option<String>) -> Event {
         let Self { plugin, instruction, reason } = self;

@@ -78,6 +78,34 @@ fn virtual_time_waits_for_a_python_script_and_repeats_to_the_byte() {
 }
 
 #[test]
+fn a_program_in_virtual_time_is_as_far_away_as_its_file_says() {
+    let out = TempDir::new().unwrap();
+    let testbed = corridor_with("examples/strongest_signal.py", out.path());
+    let run = |name: &str, settings: &[&str]| {
+        let folder = out.path().join(name);
+        let run = ["run", "--simulate", "--headless", "--until", "50s", "--out"].map(Path::new);
+        let settings = settings.iter().flat_map(|setting| ["--set", setting]).map(Path::new);
+        let done = output(run.into_iter().chain([&*folder, &*testbed]).chain(settings));
+        assert!(done.status.success(), "{}", stderr(&done));
+        let summary = fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path().join("summary.json");
+        serde_json::from_str::<Value>(&fs::read_to_string(summary).unwrap()).unwrap()
+    };
+    assert_eq!(run("beside", &[])["plugins"][0].get("staleness"), None);
+    let delayed = ["plugins.mine.control_delay=200 ms"];
+    let on_nodes = ["core.node=edge", "plugins.mine.node=cloud", "links.*-cloud.delay=200 ms"];
+    for (name, settings) in [("delayed", &delayed[..]), ("on-nodes", &on_nodes)] {
+        let summary = run(name, settings);
+        assert_eq!(summary["plugin_faults"], serde_json::json!([]), "{name}");
+        let plugin = &summary["plugins"][0];
+        assert!(plugin["applied"].as_u64().unwrap() > 1, "{name}: {plugin}");
+        let ages = plugin["staleness"].as_array().unwrap();
+        let robots = ages.iter().find(|ages| ages["kind"] == "robot").unwrap();
+        let youngest = robots["youngest_ms"]["p50"].as_f64().unwrap();
+        assert!((400.0..700.0).contains(&youngest), "{name}: {youngest} ms");
+    }
+}
+
+#[test]
 fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
     let out = TempDir::new().unwrap();
     let testbed = corridor_with("examples/strongest_signal.py", out.path());

@@ -2,11 +2,13 @@
 
 use std::collections::HashSet;
 
-use cotorra_graph::{BUNDLED_PLUGINS, InstructionLimit, PluginId, PluginProgram, PluginSpec};
+use cotorra_graph::{
+    BUNDLED_PLUGINS, InstructionLimit, NodeId, PluginDistance, PluginId, PluginProgram, PluginSpec, Way,
+};
 
 use super::builder::{Builder, each};
 use crate::{
-    records::PluginRecord,
+    records::{NodeRecord, PluginRecord},
     yaml::{
         Span,
         decode::{Either, Spanned},
@@ -20,6 +22,7 @@ pub const COMMAND_LINE: &str = "command-line";
 
 impl Builder<'_> {
     pub(super) fn plugins(&mut self) -> Option<Vec<PluginSpec>> {
+        let core = self.core()?;
         let mut seen = HashSet::new();
         let plugins: Vec<Option<PluginSpec>> = each(&self.record.plugins, |entry| {
             let plugin = match &entry.value {
@@ -32,11 +35,12 @@ impl Builder<'_> {
                         domain: None,
                         optional: false,
                         instructions_per_second: InstructionLimit::default(),
+                        distance: PluginDistance::default(),
                         env: Vec::new(),
                         settings: serde_json::Map::new(),
                     }
                 }
-                Either::Long(record) => self.plugin(&entry.span, record)?,
+                Either::Long(record) => self.plugin(&entry.span, record, core.as_ref())?,
             };
             if [SCHEDULE, COMMAND_LINE].contains(&plugin.id.as_str()) {
                 self.sink
@@ -54,7 +58,7 @@ impl Builder<'_> {
         Some(plugins.into_iter().flatten().collect())
     }
 
-    fn plugin(&mut self, span: &Span, record: &PluginRecord) -> Option<PluginSpec> {
+    fn plugin(&mut self, span: &Span, record: &PluginRecord, core: Option<&NodeId>) -> Option<PluginSpec> {
         let program = match (&record.bundled, &record.command) {
             (Some(name), None) => self.bundled(name),
             (None, Some(command)) => self.command(command).map(PluginProgram::Command),
@@ -84,15 +88,62 @@ impl Builder<'_> {
             None => Some(None),
         };
         let env = self.env(&record.env, !matches!(program, Some(PluginProgram::Bundled(_))));
+        let way = self.way(record, core);
+        let reads_history = record.settings.get("delays").is_some_and(|delays| delays == "history");
+        if reads_history && way.as_ref().is_some_and(|way| *way != Way::None) {
+            self.sink
+                .error(span, "this plug-in reads the history, which has no distance from the core")
+                .help("leave out `delays: history`, or `node` and `control_delay`");
+        }
         Some(PluginSpec {
             id: id?,
             program: program?,
             domain: domain?,
             optional: record.optional,
             instructions_per_second: record.instructions_per_second,
+            distance: PluginDistance { way: way?, decides_in: record.decides_in },
             env: env?,
             settings: record.settings.clone(),
         })
+    }
+
+    /// The core's node, or `None` if it has none; nothing if it is wrong.
+    fn core(&mut self) -> Option<Option<NodeId>> {
+        let Some(node) = &self.record.core.node else { return Some(None) };
+        self.place_of_control(node).map(Some)
+    }
+
+    /// A node that the core or a plug-in can run on.
+    fn place_of_control(&mut self, node: &Spanned<NodeId>) -> Option<NodeId> {
+        self.node_where(node, "server or robot", |node| {
+            matches!(node, NodeRecord::Server(_) | NodeRecord::Robot(_))
+        })
+    }
+
+    fn way(&mut self, record: &PluginRecord, core: Option<&NodeId>) -> Option<Way> {
+        match (&record.node, &record.control_delay) {
+            (None, None) => Some(Way::None),
+            (None, Some(delay)) if delay.value.is_zero() => Some(Way::None),
+            (None, Some(delay)) => Some(Way::Delay { control_delay: delay.value }),
+            (Some(_), Some(delay)) => {
+                self.sink
+                    .error(&delay.span, "the emulated network delays what goes between two nodes")
+                    .help("leave out `control_delay`, or `node`");
+                None
+            }
+            (Some(node), None) => {
+                let plugin = self.place_of_control(node);
+                let Some(core) = core else {
+                    self.sink
+                        .error(&node.span, "contexts come from the core, which has no node")
+                        .help("add `core: { node: edge }`, with the server or robot that the core is on");
+                    return None;
+                };
+                let plugin = plugin?;
+                let is_beside = plugin == *core;
+                Some(if is_beside { Way::None } else { Way::Nodes { core: core.clone(), plugin } })
+            }
+        }
     }
 
     fn bundled(&mut self, name: &Spanned<String>) -> Option<PluginProgram> {

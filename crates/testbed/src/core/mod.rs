@@ -480,6 +480,10 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         }
         self.report(now, vec![Event::PluginFault { plugin, reason: fault.to_string() }]);
     }
+
+    fn publish(&mut self, event: Stamped) {
+        self.observe(event);
+    }
 }
 
 #[cfg(test)]

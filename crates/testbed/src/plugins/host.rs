@@ -10,11 +10,13 @@ use std::{
 };
 
 use cotorra_graph::{
-    DomainId, Instruction, InstructionLimit, NodeId, PluginId, PluginSpec, Stamped, Timestamp, VnfId,
+    DomainId, Event, Instruction, InstructionLimit, NodeId, PluginId, PluginSpec, Staleness, Stamped,
+    Timestamp, VnfId,
 };
 use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
+use super::travel::{Datagram, Travel};
 use crate::{
     events::follower::{Follower, PluginMessage},
     given::Given,
@@ -82,6 +84,9 @@ pub(crate) trait Controlled {
 
     /// Stops the robots that a plug-in moved, and publishes the reason for which the plug-in is cut off.
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]);
+
+    /// Publishes an event about plug-ins.
+    fn publish(&mut self, event: Stamped);
 }
 
 /// Instructions that a plug-in has left; a token bucket.
@@ -139,6 +144,13 @@ impl Program {
         (self.streams.is_empty() && self.is_expected) || self.streams.iter().any(waits)
     }
 
+    /// Queues an event for the streams that see it.
+    fn queue(&mut self, event: &Arc<Stamped>) {
+        for stream in &mut self.streams {
+            stream.queued.extend(stream.follower.sees(event));
+        }
+    }
+
     /// Sends each stream without an open mark its events and a new mark.
     fn flush(&mut self, now: Timestamp, marks: &mut u64) {
         self.streams.retain_mut(|stream| {
@@ -175,6 +187,7 @@ pub(crate) struct PluginHost {
     movers: BTreeMap<NodeId, PluginId>,
     /// In the order in which they are sent events.
     programs: Vec<Program>,
+    travel: Travel,
     marks: u64,
     /// Longest silence of a plug-in before it is cut off.
     patience: Duration,
@@ -195,6 +208,7 @@ impl PluginHost {
             bytes: BTreeMap::new(),
             movers: BTreeMap::new(),
             programs: Vec::new(),
+            travel: Travel::default(),
             marks: 0,
             patience,
         }
@@ -209,6 +223,11 @@ impl PluginHost {
         };
         self.domains.extend(plugins.iter().filter_map(bound));
         self
+    }
+
+    /// Lets contexts and instructions travel.
+    pub(crate) fn with_travel(self, travel: Travel) -> Self {
+        Self { travel, ..self }
     }
 
     /// Gives callers on behalf of these domains a budget each.
@@ -237,11 +256,33 @@ impl PluginHost {
         self.cut.contains(plugin)
     }
 
-    /// Applies an instruction given at `now`, if it is admitted. A plug-in that gives too many is cut off.
+    /// Applies an instruction given at `now`, if it is admitted. A plug-in that gives too many is cut off. The instruction of a
+    /// plug-in that is away sets off, and is applied when it has arrived.
     pub(crate) fn instruct(
         &mut self,
         now: Timestamp,
         given: Given,
+        controlled: &mut impl Controlled,
+    ) -> Result<(), InstructionError> {
+        match self.travel.send_instruction(now, given) {
+            Some(given) => self.apply(now, given, Vec::new(), controlled),
+            None => Ok(()),
+        }
+    }
+
+    /// Applies instructions of plug-ins that have arrived at the core.
+    pub(crate) fn apply_arrived(&mut self, now: Timestamp, controlled: &mut impl Controlled) {
+        while let Some((given, staleness)) = self.travel.next_instruction(now) {
+            // A rejection is part of the published decision.
+            let _ = self.apply(now, given, staleness, controlled);
+        }
+    }
+
+    fn apply(
+        &mut self,
+        now: Timestamp,
+        given: Given,
+        staleness: Vec<Staleness>,
         controlled: &mut impl Controlled,
     ) -> Result<(), InstructionError> {
         let Given { plugin, instruction, reason } = &given;
@@ -275,7 +316,10 @@ impl PluginHost {
             Instruction::RemoveVnf { vnf } => Some((vnf.clone(), false)),
             _ => None,
         };
-        controlled.instruct(now, given)?;
+        let done = controlled.instruct(now, given);
+        let events = staleness.into_iter().map(Event::Staleness);
+        events.for_each(|event| controlled.publish(Stamped { at: now, event }));
+        done?;
         match (vnf, whose) {
             (Some((vnf, true)), Some(whose)) => self.added.push(Added { whose, vnf, removed: None }),
             (Some((vnf, false)), _) => {
@@ -322,6 +366,7 @@ impl PluginHost {
             return;
         }
         self.programs.retain(|program| program.id != *plugin);
+        self.travel.forget(plugin);
         let robots: Vec<_> =
             self.movers.iter().filter(|(_, by)| *by == plugin).map(|(robot, _)| robot.clone()).collect();
         self.movers.retain(|_, by| by != plugin);
@@ -396,6 +441,44 @@ impl PluginHost {
     }
 }
 
+/// What is on its way between the core and plug-ins that are away from it.
+impl PluginHost {
+    /// Sends a context to a plug-in in process. Returns it if the plug-in is beside the core.
+    pub(crate) fn send_context(
+        &mut self,
+        now: Timestamp,
+        plugin: &PluginId,
+        event: Arc<Stamped>,
+    ) -> Option<Arc<Stamped>> {
+        self.travel.send_context(now, plugin, event)
+    }
+
+    /// Returns the next context that has arrived at a plug-in in process that is free to decide.
+    pub(crate) fn next_context(&mut self, now: Timestamp, plugin: &PluginId) -> Option<Arc<Stamped>> {
+        self.travel.next_context(now, plugin)
+    }
+
+    /// Returns when a plug-in is free to decide.
+    pub(crate) fn free_at(&self, plugin: &PluginId) -> Timestamp {
+        self.travel.free_at(plugin)
+    }
+
+    /// Returns the next datagram between the core and a plug-in.
+    pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
+        self.travel.poll_transmit(now)
+    }
+
+    /// Handles a datagram that has arrived at its node.
+    pub(crate) fn receive(&mut self, now: Timestamp, payload: &[u8]) {
+        self.travel.receive(now, payload);
+    }
+
+    /// Returns when something arrives or departs next. Times in the past are due now.
+    pub(crate) fn next_travel(&self) -> Option<Timestamp> {
+        self.travel.next_deadline()
+    }
+}
+
 /// The protocol of streams and marks, by which time waits for programs.
 impl PluginHost {
     /// Makes time wait for this program from the beginning.
@@ -429,23 +512,38 @@ impl PluginHost {
         stream.map(|stream| (stream.open_mark, stream.wake_at) = (None, wake_at)).is_some()
     }
 
-    /// Queues an event for the programs. They are sent it with their next mark.
-    pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
-        for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
-            stream.queued.extend(stream.follower.sees(event));
+    /// Queues an event for the programs, or sends it to those that are away. They get it with their next mark.
+    pub(crate) fn publish(&mut self, now: Timestamp, event: &Arc<Stamped>) {
+        for program in &mut self.programs {
+            if !self.travel.is_away(&program.id) {
+                program.queue(event);
+            } else if program.streams.iter().any(|stream| stream.follower.sees(event).is_some()) {
+                self.travel.send_context(now, &program.id, Arc::clone(event));
+            }
         }
     }
 
-    /// Makes a mark due for programs whose wake-up time has come.
+    /// Makes a mark due for programs at which events have arrived, or whose wake-up time has come.
     pub(crate) fn wake(&mut self, now: Timestamp) {
-        for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
-            stream.is_due |= stream.wake_at.take_if(|at| *at <= now).is_some();
+        while let Some((plugin, event)) = self.travel.next_context_of_programs(now) {
+            let program = self.programs.iter_mut().find(|program| program.id == plugin);
+            program.into_iter().for_each(|program| program.queue(&event));
+        }
+        for program in &mut self.programs {
+            let has_come = |at: &mut Timestamp| *at <= now;
+            if self.travel.free_at(&program.id) <= now {
+                program.streams.iter_mut().for_each(|s| s.is_due |= s.wake_at.take_if(has_come).is_some());
+            }
         }
     }
 
     /// Returns the next wake-up time of a program.
     pub(crate) fn next_wake(&self) -> Option<Timestamp> {
-        self.programs.iter().flat_map(|program| &program.streams).filter_map(|stream| stream.wake_at).min()
+        let wakes = self.programs.iter().flat_map(|program| {
+            let free_at = self.travel.free_at(&program.id);
+            program.streams.iter().filter_map(move |stream| Some(stream.wake_at?.max(free_at)))
+        });
+        wakes.chain(self.travel.next_context_at_programs()).min()
     }
 
     /// Sends programs their events, and returns the first program that time waits for.
@@ -512,6 +610,8 @@ mod tests {
         fn cut_off(&mut self, _now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]) {
             self.faults.push((format!("{plugin}: {fault}"), robots.to_vec()));
         }
+
+        fn publish(&mut self, _event: Stamped) {}
     }
 
     fn move_robot() -> Instruction {
@@ -555,6 +655,7 @@ mod tests {
             domain: None,
             optional: false,
             instructions_per_second: InstructionLimit::new(per_second).unwrap(),
+            distance: Default::default(),
             env: Vec::new(),
             settings: Default::default(),
         };

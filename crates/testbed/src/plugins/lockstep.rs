@@ -150,8 +150,10 @@ impl Locals {
     }
 
     /// Returns the next deadline. Not cached: orchestrators share a ledger, so a call of one may change another's deadline.
-    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
-        self.all.iter().filter_map(|local| local.plugin.as_ref()?.next_deadline()).min()
+    pub(crate) fn next_deadline(&self, host: &PluginHost) -> Option<Timestamp> {
+        let deadline =
+            |local: &Local| Some(local.plugin.as_ref()?.next_deadline()?.max(host.free_at(&local.id)));
+        self.all.iter().filter_map(deadline).min()
     }
 
     /// Makes calls due for plug-ins whose deadline has come.
@@ -159,11 +161,12 @@ impl Locals {
         self.unasked = Some(0);
     }
 
-    /// Makes calls due for plug-ins that see an event.
-    pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
+    /// Makes calls due for plug-ins that see an event, or sends it to those that are away.
+    pub(crate) fn publish(&mut self, now: Timestamp, event: &Arc<Stamped>, host: &mut PluginHost) {
         for (place, local) in self.all.iter().enumerate() {
             if local.plugin.is_some()
                 && let Some(seen) = domain::seen(local.view.as_deref(), event)
+                && let Some(seen) = host.send_context(now, &local.id, seen)
             {
                 self.due.push_back((place, Occasion::Event(seen)));
             }
@@ -171,17 +174,27 @@ impl Locals {
     }
 
     /// Returns the next due call.
-    pub(crate) fn next_call(&mut self, now: Timestamp) -> Option<Call> {
+    pub(crate) fn next_call(&mut self, now: Timestamp, host: &mut PluginHost) -> Option<Call> {
         while let Some((place, occasion)) = self.due.pop_front() {
             if let Some(plugin) = self.all[place].plugin.take() {
                 self.called = place;
                 return Some(Call { plugin, now, occasion });
             }
         }
+        for (place, local) in self.all.iter_mut().enumerate() {
+            if let Some(event) = host.next_context(now, &local.id)
+                && let Some(plugin) = local.plugin.take()
+            {
+                self.called = place;
+                return Some(Call { plugin, now, occasion: Occasion::Event(event) });
+            }
+        }
         while let Some(place) = self.unasked.take_if(|place| *place < self.all.len()) {
             self.unasked = Some(place + 1);
-            let plugin = &mut self.all[place].plugin;
-            let has_come = |plugin: &mut Box<dyn Plugin>| plugin.next_deadline().is_some_and(|at| at <= now);
+            let Local { id, plugin, .. } = &mut self.all[place];
+            let is_free = host.free_at(id) <= now;
+            let has_come =
+                |plugin: &mut Box<dyn Plugin>| is_free && plugin.next_deadline().is_some_and(|at| at <= now);
             if let Some(plugin) = plugin.take_if(has_come) {
                 self.called = place;
                 return Some(Call { plugin, now, occasion: Occasion::Deadline });

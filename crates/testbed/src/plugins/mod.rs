@@ -3,6 +3,7 @@
 //!
 //! [`host::PluginHost`] decides; it is the same in real time, in virtual time and in a replay. [`running`] calls plug-ins
 //! in real time. Where time waits for plug-ins, [`lockstep`] calls those in process and [`external`] serves programs.
+//! [`travel`] has what is on its way between the core and plug-ins that are away from it.
 
 mod bundled;
 mod error;
@@ -13,11 +14,13 @@ mod panic;
 mod process;
 mod programs;
 pub(crate) mod running;
+mod travel;
 
 pub(crate) use bundled::{Bundled, reads_history, rehearse};
 pub use error::PluginError;
 pub use panic::panic_text;
 pub(crate) use programs::{check_programs, programs};
+pub(crate) use travel::{Datagram, Travel};
 
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_federation::Ledgers;
-use cotorra_graph::{PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp, Way};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::{Actions, Plugin};
 
@@ -24,6 +24,7 @@ use super::{
     lockstep::{Call, Occasion},
     process::Process,
     programs::check_programs,
+    travel::Travel,
 };
 use crate::{
     api::Server,
@@ -52,6 +53,7 @@ impl PreparedPlugins {
     /// Makes the bundled plug-ins, and checks that the programs of the others exist.
     pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
         check_programs(testbed)?;
+        check_distances(testbed)?;
         let history = RunHistory::default();
         let mut maker = Bundled::new(testbed, seed, Ledgers::default()).reading(Some(history.clone()));
         let mut bundled = BTreeMap::new();
@@ -87,7 +89,8 @@ impl PreparedPlugins {
         let mut plugins = RunningPlugins::new(
             PluginHost::new(members, LONGEST_CALL)
                 .with_limits(&testbed.plugins)
-                .with_domains(&testbed.graph.domains),
+                .with_domains(&testbed.graph.domains)
+                .with_travel(Travel::in_real_time(&testbed.plugins)),
             self.ledgers,
         );
         for spec in &testbed.plugins {
@@ -105,6 +108,20 @@ impl PreparedPlugins {
         }
         Ok(plugins)
     }
+}
+
+/// Checks that real time has the distances of plug-ins.
+fn check_distances(testbed: &Testbed) -> Result<(), PluginError> {
+    for PluginSpec { id, program, distance, .. } in &testbed.plugins {
+        match (&distance.way, program) {
+            (Way::Nodes { .. }, _) => return Err(PluginError::RealNode(id.clone())),
+            (Way::Delay { .. }, PluginProgram::Command(_)) => {
+                return Err(PluginError::FarProgram(id.clone()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// The thread or process of a plug-in.
@@ -164,15 +181,33 @@ impl RunningPlugins {
         self.places.insert(id, Place::Thread { view, events, busy_since, cut });
     }
 
-    /// Passes an event on to the plug-ins in process. Programs follow the API's stream.
-    pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
-        for place in self.places.values() {
-            let Place::Thread { view, events, .. } = place else { continue };
-            let Some(seen) = domain::seen(view.as_deref(), event) else { continue };
-            if events.try_send(seen).is_err() {
-                self.missed += 1;
+    /// Passes an event on to the plug-ins in process, or sends it to those that are away. Programs follow the API's stream.
+    pub(crate) fn publish(&mut self, now: Timestamp, event: &Arc<Stamped>) {
+        for (id, place) in &self.places {
+            if let Place::Thread { view, events, .. } = place
+                && let Some(seen) = domain::seen(view.as_deref(), event)
+                && let Some(seen) = self.host.send_context(now, id, seen)
+            {
+                self.missed += u64::from(events.try_send(seen).is_err());
             }
         }
+    }
+
+    /// Passes contexts on that have arrived at plug-ins, and applies instructions that have arrived at the core.
+    pub(crate) fn travel(&mut self, now: Timestamp, core: &mut impl Controlled) {
+        for (id, place) in &self.places {
+            let Place::Thread { events, .. } = place else { continue };
+            while let Some(event) = self.host.next_context(now, id) {
+                self.missed += u64::from(events.try_send(event).is_err());
+            }
+        }
+        self.host.apply_arrived(now, core);
+        self.end_cut_off();
+    }
+
+    /// Returns when something arrives next.
+    pub(crate) fn next_travel(&self) -> Option<Timestamp> {
+        self.host.next_travel()
     }
 
     /// Returns the number of events that plug-ins in process missed because they were too far behind.
@@ -289,7 +324,7 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cotorra_graph::{Event, Instruction, NodeId};
+    use cotorra_graph::{Event, Instruction, NodeId, PluginDistance};
     use cotorra_graph_testing as base;
 
     struct Scripted(fn(&mut Actions));
@@ -300,18 +335,21 @@ mod tests {
         }
     }
 
-    /// Records faults.
+    /// Records faults, and counts instructions.
     #[derive(Default)]
-    struct Faults(Vec<(PluginId, String)>);
+    struct Faults(Vec<(PluginId, String)>, usize);
 
     impl Controlled for Faults {
         fn instruct(&mut self, _now: Timestamp, _given: Given) -> Result<(), InstructionError> {
+            self.1 += 1;
             Ok(())
         }
 
         fn cut_off(&mut self, _now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
             self.0.push((plugin, fault.to_string()));
         }
+
+        fn publish(&mut self, _event: Stamped) {}
     }
 
     fn testbed() -> Arc<Testbed> {
@@ -324,14 +362,31 @@ mod tests {
 
     /// Starts one plug-in in process. Returns its messages, too.
     fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
-        let mut plugins = RunningPlugins::new(PluginHost::new([id()], LONGEST_CALL), Ledgers::default());
+        running_at(script, Way::None)
+    }
+
+    fn spec(program: PluginProgram, way: Way) -> PluginSpec {
+        PluginSpec {
+            id: id(),
+            program,
+            domain: None,
+            optional: false,
+            instructions_per_second: Default::default(),
+            distance: PluginDistance { way, decides_in: Duration::from_secs(9) },
+            env: Vec::new(),
+            settings: Default::default(),
+        }
+    }
+
+    fn running_at(script: fn(&mut Actions), way: Way) -> (RunningPlugins, mpsc::Receiver<Message>) {
+        let travel = Travel::in_real_time(&[spec(PluginProgram::Bundled("pace".to_owned()), way)]);
+        let host = PluginHost::new([id()], LONGEST_CALL).with_travel(travel);
+        let mut plugins = RunningPlugins::new(host, Ledgers::default());
         let (messages, said) = mpsc::channel();
         let now: Clock = Arc::new(|| Timestamp::from_secs_f64(1.0));
         plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, messages);
-        plugins.publish(&Arc::new(Stamped {
-            at: Timestamp::ZERO,
-            event: Event::Notice { message: String::new() },
-        }));
+        let event = Event::Notice { message: String::new() };
+        plugins.publish(Timestamp::ZERO, &Arc::new(Stamped { at: Timestamp::ZERO, event }));
         (plugins, said)
     }
 
@@ -343,6 +398,38 @@ mod tests {
         let Message::Returned { plugin, outcome, .. } = said.recv().unwrap() else { panic!("no call") };
         let reason = outcome.unwrap().drain().next().unwrap().1;
         assert_eq!((plugin, reason.as_deref()), (id(), Some("time to look")));
+    }
+
+    #[test]
+    fn contexts_and_instructions_take_their_delay_in_real_time() {
+        let way = Way::Delay { control_delay: Duration::from_millis(100) };
+        let scan =
+            |actions: &mut Actions| actions.instruct(Instruction::Scan { robot: "r".parse().unwrap() });
+        let (mut plugins, said) = running_at(scan, way);
+        let (at, mut core) = (Timestamp::from_secs_f64, Faults::default());
+        assert_eq!(plugins.next_travel(), Some(at(0.1)));
+        plugins.travel(at(0.1), &mut core);
+        assert_eq!(plugins.next_travel(), None);
+        let Message::Returned { plugin, outcome, .. } = said.recv().unwrap() else { panic!("no call") };
+        plugins.returned(at(0.2), &plugin, outcome, &mut core);
+        plugins.travel(at(0.29), &mut core);
+        assert_eq!((core.1, plugins.next_travel()), (0, Some(at(0.3))), "the plug-in's own time counts");
+        plugins.travel(at(0.3), &mut core);
+        assert_eq!((core.1, plugins.next_travel()), (1, None));
+    }
+
+    #[test]
+    fn distances_that_only_virtual_time_has_are_rejected() {
+        let nodes = Way::Nodes { core: "edge".parse().unwrap(), plugin: "cloud".parse().unwrap() };
+        let delay = Way::Delay { control_delay: Duration::from_millis(1) };
+        let bundled = || PluginProgram::Bundled("pace".to_owned());
+        let program = || PluginProgram::Command(vec!["true".to_owned()]);
+        let check = |program, way| {
+            check_distances(&Testbed { plugins: vec![spec(program, way)], ..Testbed::clone(&testbed()) })
+        };
+        assert!(matches!(check(bundled(), nodes), Err(PluginError::RealNode(_))));
+        assert!(matches!(check(program(), delay.clone()), Err(PluginError::FarProgram(_))));
+        assert!(check(bundled(), delay).is_ok() && check(program(), Way::None).is_ok());
     }
 
     #[test]

@@ -76,9 +76,10 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 next_check = now + CHECK;
                 self.plugins.check(now, &mut self.core);
             }
+            self.plugins.travel(now, &mut self.core);
             self.publish();
-            let deadline =
-                self.core.next_deadline().min(next_check).min(self.until.unwrap_or(Timestamp::MAX));
+            let others = self.until.into_iter().chain(self.plugins.next_travel());
+            let deadline = others.fold(self.core.next_deadline().min(next_check), Timestamp::min);
             match self.inbox.recv_timeout(deadline.since((self.now)())) {
                 Ok(Message::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break End::Stopped,
                 Ok(message) => self.take(message),
@@ -116,10 +117,11 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
 
     /// Passes an event on to the report, the plug-ins and all others.
     pub(crate) fn publish_event(&mut self, event: Stamped) {
-        let Self { report, plugins, fanout, .. } = self;
+        let Self { report, plugins, fanout, now, .. } = self;
+        let now = now();
         fanout.publish(Arc::new(event), |event| {
             report.absorb(event);
-            plugins.publish(event);
+            plugins.publish(now, event);
         });
     }
 

@@ -132,7 +132,11 @@ impl Controlled for Record {
 
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
         let event = Event::PluginFault { plugin, reason: fault.to_string() };
-        self.events.push_back(Stamped { at: now, event });
+        self.publish(Stamped { at: now, event });
+    }
+
+    fn publish(&mut self, event: Stamped) {
+        self.events.push_back(event);
     }
 }
 
@@ -167,7 +171,7 @@ impl Audience {
 
     /// Returns the next wake-up time of a plug-in.
     fn next_wake(&self) -> Option<Timestamp> {
-        let wake = self.host.next_wake().into_iter().chain(self.locals.next_deadline()).min();
+        let wake = self.host.next_wake().into_iter().chain(self.locals.next_deadline(&self.host)).min();
         // A wake-up that was met must not come again at the same time.
         wake.map(|wake| wake.max(self.now + Duration::from_nanos(1)))
     }
@@ -179,7 +183,7 @@ impl Lockstep for Audience {
     }
 
     fn next_call(&mut self) -> Option<Call> {
-        self.locals.next_call(self.now)
+        self.locals.next_call(self.now, &mut self.host)
     }
 
     fn returned(&mut self, returned: Returned) {
@@ -366,9 +370,10 @@ struct Playing<T> {
 impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
     fn publish(&mut self, event: Arc<Stamped>) {
         let Self { audience, fanout, .. } = self;
+        let Audience { host, locals, now, .. } = &mut **audience;
         fanout.publish(event, |event| {
-            audience.host.publish(event);
-            audience.locals.publish(event);
+            host.publish(*now, event);
+            locals.publish(*now, event, host);
         });
     }
 

@@ -89,43 +89,50 @@ impl Forking {
     }
 }
 
-/// A core whose plug-ins' decisions pass a fork.
+/// A core whose plug-ins' decisions pass a fork, if there is one.
 pub(super) struct Forked<'a> {
     pub(super) core: &'a mut Core<VirtualNetwork, VirtualEngine>,
-    pub(super) forking: &'a mut Forking,
+    pub(super) forking: &'a mut Option<Forking>,
 }
 
-impl Forked<'_> {
-    /// Publishes that a decision was rejected.
-    fn reject(&mut self, at: Timestamp, given: Given) -> Result<(), InstructionError> {
-        let refused = InstructionError("a fork tries an alternative".to_owned());
-        self.core.observe(Stamped { at, event: given.decided(Some(refused.to_string())) });
-        Err(refused)
-    }
+/// Publishes that a decision was rejected.
+fn reject(
+    core: &mut Core<VirtualNetwork, VirtualEngine>,
+    at: Timestamp,
+    given: Given,
+) -> Result<(), InstructionError> {
+    let refused = InstructionError("a fork tries an alternative".to_owned());
+    core.observe(Stamped { at, event: given.decided(Some(refused.to_string())) });
+    Err(refused)
 }
 
 impl Controlled for Forked<'_> {
     fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError> {
-        if self.forking.is_here(now, &given.instruction) {
+        let Self { core, forking: Some(forking) } = self else { return self.core.instruct(now, given) };
+        if forking.is_here(now, &given.instruction) {
             let plugin = given.plugin.clone();
-            let rejected = self.reject(now, given);
-            let applied = self.forking.fork.instead.clone().map(|instruction| {
+            let rejected = reject(core, now, given);
+            let applied = forking.fork.instead.clone().map(|instruction| {
                 let reason = Some("an alternative to the plug-in's decision".to_owned());
-                self.core.instruct(now, Given { plugin, instruction, reason })
+                core.instruct(now, Given { plugin, instruction, reason })
             });
-            self.forking.outcome = Some(applied.unwrap_or(Ok(())));
+            forking.outcome = Some(applied.unwrap_or(Ok(())));
             return rejected;
         }
-        if self.forking.holds(now, &given.instruction) {
-            return self.reject(now, given);
+        if forking.holds(now, &given.instruction) {
+            return reject(core, now, given);
         }
         let is_decision = Subject::of(&given.instruction).is_some();
-        let done = self.core.instruct(now, given);
-        self.forking.applied += usize::from(is_decision && done.is_ok());
+        let done = core.instruct(now, given);
+        forking.applied += usize::from(is_decision && done.is_ok());
         done
     }
 
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]) {
         self.core.cut_off(now, plugin, fault, robots);
+    }
+
+    fn publish(&mut self, event: Stamped) {
+        self.core.publish(event);
     }
 }

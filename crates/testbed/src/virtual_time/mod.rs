@@ -46,7 +46,7 @@ use crate::{
     given::Given,
     history::{links::RunHistory, previous_run::PreviousRun},
     plugins::{
-        Bundled, PluginError,
+        Bundled, Datagram, PluginError, Travel,
         host::{Fault, PluginHost},
         lockstep::{Call, Locals, Lockstep, PATIENCE, Returned},
         programs,
@@ -58,6 +58,8 @@ use crate::{
 const ROBOT_PORT: u16 = 40_000;
 /// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
+/// Both ports of contexts and instructions of plug-ins that are on nodes.
+const CONTROL_PORT: u16 = 40_002;
 
 /// Returns the testbed as it is in virtual time: all servers are emulated, and robots at agents simulated.
 fn emulated(mut testbed: Arc<Testbed>) -> Arc<Testbed> {
@@ -206,7 +208,8 @@ impl Simulation {
             traffic,
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
                 .with_limits(&testbed.plugins)
-                .with_domains(&testbed.graph.domains),
+                .with_domains(&testbed.graph.domains)
+                .with_travel(Travel::in_virtual_time(&testbed.plugins)),
             locals,
             forking: None,
             ledgers: bundled.into_ledgers(),
@@ -304,19 +307,20 @@ impl Simulation {
         // The network in memory cannot be gone.
         let _ = self.core.advance(now);
         self.carry(now);
+        self.host.apply_arrived(now, &mut Forked { core: &mut self.core, forking: &mut self.forking });
+        self.locals.end_cut_off(&self.host);
         self.locals.wake();
     }
 
     /// Returns the time of the next step.
     fn next_time(&self) -> Timestamp {
         let now = self.now();
-        let plugins = self.locals.next_deadline();
+        let plugins = self.locals.next_deadline(&self.host).into_iter().chain(self.host.next_travel());
         let fabric = self.network.fabric().poll(now, &mut |_, _| {});
         let held = self.interference.next_deadline();
         let starts = self.serving.next_deadline();
         let traffic = self.traffic.deadline(now);
-        let others =
-            plugins.into_iter().chain(fabric).chain(self.alarm).chain(held).chain(starts).chain(traffic);
+        let others = plugins.chain(fabric).chain(self.alarm).chain(held).chain(starts).chain(traffic);
         let next = others.fold(self.core.next_deadline(), Timestamp::min);
         // This step met all deadlines that are not in the future; time must not stand still.
         next.max(now + Duration::from_nanos(1))
@@ -334,13 +338,8 @@ impl Simulation {
     /// Applies an instruction from outside now. The reactions of plug-ins in process follow in the next run.
     pub fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
         let now = self.network.now();
-        let done = match &mut self.forking {
-            Some(forking) => {
-                let mut forked = Forked { core: &mut self.core, forking };
-                self.host.instruct(now, given, &mut forked)
-            }
-            None => self.host.instruct(now, given, &mut self.core),
-        };
+        let mut forked = Forked { core: &mut self.core, forking: &mut self.forking };
+        let done = self.host.instruct(now, given, &mut forked);
         // The caller may have used the name of a plug-in in process.
         self.locals.end_cut_off(&self.host);
         done
@@ -478,6 +477,11 @@ impl Simulation {
             }
         }
         loop {
+            while let Some(Datagram { from, to, payload }) = self.host.poll_transmit(now) {
+                if let (Some(from), Some(to)) = (self.port(&from), self.port(&to)) {
+                    self.send(now, (from, CONTROL_PORT), (to, CONTROL_PORT), &payload);
+                }
+            }
             self.send_traffic(now);
             let mut delivered = Vec::new();
             self.network.fabric().poll(now, &mut |port, frame| delivered.push((port, frame)));
@@ -516,6 +520,9 @@ impl Simulation {
         }
         let Some(datagram) = udp::receive(frame, port) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
+        if datagram.to == CONTROL_PORT {
+            return self.host.receive(now, datagram.payload);
+        }
         if datagram.to == ROBOT_PORT {
             if self.interference.is_silent(&host) {
                 return;
@@ -562,7 +569,8 @@ impl Lockstep for Simulation {
 
     fn next_call(&mut self) -> Option<Call> {
         loop {
-            if let Some(call) = self.locals.next_call(self.network.now()) {
+            let now = self.network.now();
+            if let Some(call) = self.locals.next_call(now, &mut self.host) {
                 return Some(call);
             }
             // Plug-ins are started before any event is published.
@@ -580,7 +588,7 @@ impl Lockstep for Simulation {
                     format!("VNF {} does not run: in virtual time no program of others does", vnf.id);
                 self.core.observe(Stamped { at: event.at, event: Event::Notice { message } });
             }
-            self.locals.publish(&event);
+            self.locals.publish(now, &event, &mut self.host);
             self.outputs.push_back(Output::Event(event));
             self.events += 1;
         }
@@ -589,13 +597,8 @@ impl Lockstep for Simulation {
     fn returned(&mut self, returned: Returned) {
         let (plugin, outcome) = self.locals.returned(returned);
         let now = self.network.now();
-        match &mut self.forking {
-            Some(forking) => {
-                let mut forked = Forked { core: &mut self.core, forking };
-                self.host.returned(now, &plugin, outcome, &mut forked);
-            }
-            None => self.host.returned(now, &plugin, outcome, &mut self.core),
-        }
+        let mut forked = Forked { core: &mut self.core, forking: &mut self.forking };
+        self.host.returned(now, &plugin, outcome, &mut forked);
         self.locals.end_cut_off(&self.host);
     }
 
@@ -609,7 +612,8 @@ impl Lockstep for Simulation {
                 let now = self.now();
                 let has_come = |at: Option<Timestamp>| at.is_some_and(|at| now >= at);
                 // Time goes on even if the alarm is in the past.
-                let is_woken = now > self.stretch_began && has_come(self.alarm);
+                let wakes = has_come(self.alarm) || has_come(self.host.next_wake());
+                let is_woken = now > self.stretch_began && wakes;
                 let is_over = self.is_finished() || (until.is_none() && self.is_stuck());
                 self.events < wanted && !is_over && !is_woken && !has_come(until)
             }

@@ -320,9 +320,10 @@ impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<'_, G> {
 
     fn publish(&mut self, event: Arc<Stamped>) {
         let Self { simulation, report, fanout, .. } = self;
+        let now = simulation.now();
         fanout.publish(event, |event| {
             report.absorb(event);
-            simulation.host().publish(event);
+            simulation.host().publish(now, event);
         });
         self.unwritten += 1;
     }

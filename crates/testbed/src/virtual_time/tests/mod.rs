@@ -4,6 +4,7 @@ mod camera;
 mod congestion;
 mod container;
 mod corruption;
+mod distance;
 mod federation;
 mod large_data;
 mod localization;

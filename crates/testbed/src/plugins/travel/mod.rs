@@ -1,0 +1,232 @@
+//! Contexts and instructions on their way between the core and plug-ins that are away from it. A state machine without a
+//! clock or a socket. Messages take a fixed time, or are [`Datagrams`] for a network that the caller has.
+//!
+//! A plug-in decides on one context at a time. While it decides, further ones wait.
+
+mod datagrams;
+mod known;
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Staleness, Stamped, Timestamp, Way};
+
+pub(crate) use self::datagrams::Datagram;
+use self::{
+    datagrams::{Datagrams, Heard},
+    known::{Ages, Known},
+};
+use crate::given::Given;
+
+/// Contexts that wait for a plug-in. One that is further behind misses the oldest.
+const QUEUE: usize = 4096;
+
+/// The plug-ins that are away from the core, or take time to decide.
+#[derive(Default)]
+pub(crate) struct Travel {
+    away: BTreeMap<PluginId, Away>,
+}
+
+/// An instruction, and the contexts on which it was decided.
+struct Decided {
+    given: Given,
+    ages: Ages,
+}
+
+struct Away {
+    is_program: bool,
+    way: Carrier,
+    decides_in: Duration,
+    /// End of its current decision.
+    free_at: Timestamp,
+    /// Contexts with their times of arrival, in order.
+    contexts: VecDeque<(Timestamp, Arc<Stamped>)>,
+    known: Known,
+    /// Instructions with the end of their decision, in order.
+    decided: VecDeque<(Timestamp, Decided)>,
+    /// Instructions with their times of arrival, in order.
+    instructions: VecDeque<(Timestamp, Decided)>,
+}
+
+enum Carrier {
+    Delay(Duration),
+    Network(Box<Datagrams<Decided>>),
+}
+
+impl Travel {
+    /// Creates the state of plug-ins in virtual time.
+    pub(crate) fn in_virtual_time(plugins: &[PluginSpec]) -> Self {
+        Self { away: plugins.iter().filter(|spec| !spec.distance.is_none()).map(Away::of).collect() }
+    }
+
+    /// Creates the state of plug-ins in real time, where decisions take the time that plug-ins take.
+    pub(crate) fn in_real_time(plugins: &[PluginSpec]) -> Self {
+        let far = plugins.iter().filter(|spec| spec.distance.way != Way::None).map(Away::of);
+        let at_once = |(id, away)| (id, Away { decides_in: Duration::ZERO, ..away });
+        Self { away: far.map(at_once).collect() }
+    }
+
+    /// Whether a plug-in is away.
+    pub(crate) fn is_away(&self, plugin: &PluginId) -> bool {
+        self.away.contains_key(plugin)
+    }
+
+    /// Sends a context to a plug-in. Returns it if the plug-in is not away.
+    pub(crate) fn send_context(
+        &mut self,
+        now: Timestamp,
+        plugin: &PluginId,
+        event: Arc<Stamped>,
+    ) -> Option<Arc<Stamped>> {
+        let Some(away) = self.away.get_mut(plugin) else { return Some(event) };
+        match &mut away.way {
+            Carrier::Delay(delay) => away.contexts.push_back((now + *delay, event)),
+            Carrier::Network(datagrams) => datagrams.send_context(event),
+        }
+        None
+    }
+
+    /// Returns the next context that has arrived at a plug-in that is free. The plug-in knows it from now on.
+    pub(crate) fn next_context(&mut self, now: Timestamp, plugin: &PluginId) -> Option<Arc<Stamped>> {
+        self.away.get_mut(plugin)?.next_context(now)
+    }
+
+    /// Returns the next context that has arrived at a program that is free.
+    pub(crate) fn next_context_of_programs(&mut self, now: Timestamp) -> Option<(PluginId, Arc<Stamped>)> {
+        let mut programs = self.away.iter_mut().filter(|(_, away)| away.is_program);
+        programs.find_map(|(id, away)| Some((id.clone(), away.next_context(now)?)))
+    }
+
+    /// Sends an instruction of a plug-in to the core, after the time of its decision. Returns it if the plug-in is not away.
+    pub(crate) fn send_instruction(&mut self, now: Timestamp, given: Given) -> Option<Given> {
+        let Some(away) = self.away.get_mut(&given.plugin) else { return Some(given) };
+        let departs = now + away.decides_in;
+        away.free_at = away.free_at.max(departs);
+        let decided = Decided { given, ages: away.known.ages() };
+        match &away.way {
+            Carrier::Delay(delay) => away.instructions.push_back((departs + *delay, decided)),
+            Carrier::Network(_) => away.decided.push_back((departs, decided)),
+        }
+        None
+    }
+
+    /// Returns the next instruction that has arrived at the core, and how old the contexts are that it was decided on.
+    pub(crate) fn next_instruction(&mut self, now: Timestamp) -> Option<(Given, Vec<Staleness>)> {
+        let arrived = self.away.values_mut().find_map(|away| pop_due(&mut away.instructions, now));
+        arrived.map(|Decided { given, ages }| {
+            let staleness = ages.at(now, &given.plugin);
+            (given, staleness)
+        })
+    }
+
+    /// Returns when a plug-in is free to decide.
+    pub(crate) fn free_at(&self, plugin: &PluginId) -> Timestamp {
+        self.away.get(plugin).map_or(Timestamp::ZERO, |away| away.free_at)
+    }
+
+    /// Returns the next datagram to send.
+    pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
+        self.away.values_mut().zip(0..).find_map(|(away, number)| {
+            let Carrier::Network(datagrams) = &mut away.way else { return None };
+            while let Some(decided) = pop_due(&mut away.decided, now) {
+                let json = decided.given.json();
+                datagrams.send_instruction(now, decided, json);
+            }
+            datagrams.poll_transmit(now, number)
+        })
+    }
+
+    /// Handles a datagram that has arrived at its node.
+    pub(crate) fn receive(&mut self, now: Timestamp, payload: &[u8]) {
+        let number = datagrams::number(payload).map(usize::from);
+        let Some(away) = number.and_then(|number| self.away.values_mut().nth(number)) else { return };
+        let Carrier::Network(datagrams) = &mut away.way else { return };
+        match datagrams.receive(payload) {
+            Heard::Context(event) => away.contexts.push_back((now, event)),
+            Heard::Instructions(several) => {
+                away.instructions.extend(several.into_iter().map(|decided| (now, decided)));
+            }
+            Heard::Nothing => {}
+        }
+    }
+
+    /// Returns when something arrives or departs next. Times in the past are due now.
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        self.away.values().filter_map(Away::next_deadline).min()
+    }
+
+    /// Returns when a context arrives next at a program that is free.
+    pub(crate) fn next_context_at_programs(&self) -> Option<Timestamp> {
+        self.away.values().filter(|away| away.is_program).filter_map(Away::next_arrival).min()
+    }
+
+    /// Forgets what is on its way from and to a plug-in.
+    pub(crate) fn forget(&mut self, plugin: &PluginId) {
+        // Its place among the others stays, because datagrams have its number.
+        if let Some(away) = self.away.get_mut(plugin) {
+            *away = Away { way: Carrier::Delay(Duration::ZERO), ..Away::nowhere(away.is_program) };
+        }
+    }
+}
+
+impl Away {
+    fn of(spec: &PluginSpec) -> (PluginId, Self) {
+        let way = match &spec.distance.way {
+            Way::None => Carrier::Delay(Duration::ZERO),
+            Way::Delay { control_delay } => Carrier::Delay(*control_delay),
+            Way::Nodes { core, plugin } => Carrier::Network(Box::new(Datagrams::new(core, plugin))),
+        };
+        let is_program = matches!(spec.program, PluginProgram::Command(_));
+        let away = Self { way, decides_in: spec.distance.decides_in, ..Self::nowhere(is_program) };
+        (spec.id.clone(), away)
+    }
+
+    fn nowhere(is_program: bool) -> Self {
+        Self {
+            is_program,
+            way: Carrier::Delay(Duration::ZERO),
+            decides_in: Duration::ZERO,
+            free_at: Timestamp::ZERO,
+            contexts: VecDeque::new(),
+            known: Known::default(),
+            decided: VecDeque::new(),
+            instructions: VecDeque::new(),
+        }
+    }
+
+    fn next_context(&mut self, now: Timestamp) -> Option<Arc<Stamped>> {
+        let waiting = self.contexts.partition_point(|(at, _)| *at <= now);
+        self.contexts.drain(..waiting.saturating_sub(QUEUE));
+        if self.free_at > now {
+            return None;
+        }
+        let event = pop_due(&mut self.contexts, now)?;
+        self.known.add(&event);
+        Some(event)
+    }
+
+    fn next_arrival(&self) -> Option<Timestamp> {
+        self.contexts.front().map(|(at, _)| (*at).max(self.free_at))
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        let first = |queue: &VecDeque<(Timestamp, Decided)>| queue.front().map(|(at, _)| *at);
+        let datagrams = match &self.way {
+            Carrier::Delay(_) => None,
+            Carrier::Network(datagrams) => datagrams.next_deadline(),
+        };
+        let instructions = [first(&self.decided), first(&self.instructions)].into_iter().flatten();
+        self.next_arrival().into_iter().chain(instructions).chain(datagrams).min()
+    }
+}
+
+/// Removes and returns the first entry of a queue if it is due.
+fn pop_due<T>(queue: &mut VecDeque<(Timestamp, T)>, now: Timestamp) -> Option<T> {
+    queue.pop_front_if(|(at, _)| *at <= now).map(|(_, due)| due)
+}
+
+#[cfg(test)]
+mod tests;
