@@ -434,8 +434,10 @@ impl Report {
         self.judge.absorb(stamped);
         self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
-        if let Event::Decision(decision) = event {
-            self.instructed.absorb(decision);
+        match event {
+            Event::Decision(decision) => self.instructed.absorb(decision),
+            Event::Staleness(staleness) => self.instructed.absorb_staleness(staleness),
+            _ => {}
         }
         match event {
             Event::ServiceTime(sample) => {
