@@ -343,6 +343,7 @@ impl Client {
             walks,
             plugins,
             wais,
+            mec: None,
             seed,
             emulation,
             script: Default::default(),

@@ -77,6 +77,10 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
     let border = builder.border();
+    let mec = match &record.mec {
+        Some(mec) => builder.emulated_server(&mec.node).map(Some),
+        None => Some(None),
+    };
     let without_port_security = builder.without_port_security();
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
@@ -88,6 +92,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         walks: walks?,
         plugins: plugins?,
         wais: wais?,
+        mec: mec?,
         seed: record.seed,
         emulation: record.emulation,
         script: script?,

@@ -58,6 +58,8 @@ record! {
         core: CoreRecord = {},
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
+        /// Where applications on nodes reach the services of ETSI MEC: docs/use/mec.md.
+        mec: Option<MecRecord>,
         /// Replayed conditions of links, in place of those at the links.
         conditions: ReplayRecord = {},
         /// Changes of links over time, or where a robot is.
@@ -1485,6 +1487,14 @@ record! {
         callbacks: Vec<IpNetwork> = [],
         /// Place of the map's origin on Earth. Without it, no locations are exposed.
         origin: Option<OriginRecord>,
+    }
+}
+
+record! {
+    /// The platform of ETSI MEC.
+    MecRecord {
+        /// Server on which the platform stands. Applications reach it over the emulated network.
+        node: Spanned<NodeId>,
     }
 }
 

@@ -36,6 +36,7 @@ mod link;
 mod localize;
 mod map;
 mod margin;
+mod mec;
 mod netem;
 mod netem_at_agents;
 mod netem_links;

@@ -5,16 +5,13 @@ use std::net::SocketAddr;
 use cotorra_graph::{Border, NodeId};
 
 use super::builder::{Builder, each};
-use crate::{
-    records::{BorderRecord, NodeRecord},
-    yaml::decode::Spanned,
-};
+use crate::{records::BorderRecord, yaml::decode::Spanned};
 
 impl Builder<'_> {
     /// The border, or `None` without one; nothing if it is wrong.
     pub(super) fn border(&mut self) -> Option<Option<Border>> {
         let Some(record) = &self.record.border else { return Some(None) };
-        let node = self.border_node(&record.node);
+        let node = self.emulated_server(&record.node);
         let address = self.border_address(record);
         if record.visitors.len() > Border::MOST_VISITORS {
             self.sink
@@ -27,12 +24,6 @@ impl Builder<'_> {
         }
         let visitors: Option<Vec<_>> = each(&record.visitors, |visitor| self.visitor(visitor));
         Some(Some(Border { node: node?, address: address?, visitors: visitors? }))
-    }
-
-    fn border_node(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
-        let is_server =
-            |node: &NodeRecord| matches!(node, NodeRecord::Server(server) if server.agent.is_none());
-        self.node_where(id, "emulated server", is_server)
     }
 
     fn border_address(&mut self, record: &BorderRecord) -> Option<SocketAddr> {

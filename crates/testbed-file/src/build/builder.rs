@@ -42,6 +42,13 @@ impl Builder<'_> {
         })
     }
 
+    /// The server of that name, which must be there and no real machine.
+    pub(super) fn emulated_server(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
+        let is_emulated =
+            |node: &NodeRecord| matches!(node, NodeRecord::Server(server) if server.agent.is_none());
+        self.node_where(id, "emulated server", is_emulated)
+    }
+
     /// The robot of that name, which must be there.
     pub(super) fn robot(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
         self.node_where(id, "robot", |node| matches!(node, NodeRecord::Robot(_)))

@@ -1,6 +1,7 @@
 //! Access control of the API. The operator is the run's user by default: whoever uses the run's own socket, and pages that
 //! were signed in from there. It can be whoever shows a token instead, or everyone who reaches the API. A domain's token
-//! opens what belongs to its own nodes.
+//! opens what belongs to its own nodes. An application's token opens its domain's services of ETSI MEC, at a port of an
+//! emulated node only.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -17,9 +18,12 @@ use axum::{
     middleware::Next,
     response::Response,
 };
-use cotorra_graph::{DomainId, PluginId};
+use cotorra_graph::{DomainId, PluginId, VnfId};
 
-use super::{connections::Whose, serve::Place, signed_in::SignIns, token::Token, types::Failure};
+use super::{
+    application_tokens::Applications, connections::Whose, serve::Place, signed_in::SignIns, tls::Origin,
+    token::Token, types::Failure,
+};
 use crate::domain::{DomainView, Domains};
 
 /// The operator, who sees and changes everything.
@@ -113,6 +117,8 @@ pub(super) struct Caller {
     pub(super) view: Option<Arc<DomainView>>,
     /// The plug-in that the token belongs to.
     plugin: Option<PluginId>,
+    /// The application that the token belongs to.
+    application: Option<VnfId>,
 }
 
 impl Caller {
@@ -136,6 +142,18 @@ impl Caller {
         match self.view.as_deref().filter(|view| !is_seen(view)) {
             None => Ok(()),
             Some(view) => Err(Failure::not_own(format!("`{what}` is not of the domain `{}`", view.domain()))),
+        }
+    }
+
+    /// Rejects an application that acts for another. `rest` is the path below a domain.
+    fn acts_for_itself(&self, rest: &str) -> Result<(), Failure> {
+        let mut segments = rest.split('/').skip_while(|segment| *segment != "applications");
+        let named = segments.nth(1);
+        match (&self.application, named) {
+            (Some(own), Some(named)) if *own != *named => {
+                Err(Failure::not_own(format!("the token is of the application `{own}`, not of `{named}`")))
+            }
+            _ => Ok(()),
         }
     }
 
@@ -196,6 +214,7 @@ pub(super) struct Gate {
     plugins: PluginTokens,
     domains: Arc<Domains>,
     pages: Arc<SignIns>,
+    applications: Applications,
 }
 
 impl Gate {
@@ -204,23 +223,36 @@ impl Gate {
         plugins: PluginTokens,
         domains: Arc<Domains>,
         pages: Arc<SignIns>,
+        applications: Applications,
     ) -> Self {
-        Self { tokens: Arc::new(tokens), plugins, domains, pages }
+        Self { tokens: Arc::new(tokens), plugins, domains, pages, applications }
     }
 
-    /// Identifies the caller by a request's headers and by whether it came `over_socket` of the run's user, or rejects it.
-    fn caller(&self, headers: &HeaderMap, over_socket: bool) -> Result<Caller, Failure> {
+    /// Identifies an application by its token, or rejects it.
+    fn application(&self, shown: Option<&str>) -> Result<Caller, Failure> {
+        let (application, domain) =
+            shown.and_then(|shown| self.applications.find(shown)).ok_or_else(Failure::unauthorized)?;
+        let view = self.domains.view(&domain).cloned().ok_or_else(Failure::unauthorized)?;
+        Ok(Caller { view: Some(view), plugin: None, application: Some(application) })
+    }
+
+    /// Identifies the caller by a request's headers and by the origin of its connection, or rejects it.
+    fn caller(&self, headers: &HeaderMap, origin: Origin) -> Result<Caller, Failure> {
         let shown = shown(headers);
+        if origin == Origin::Node {
+            return self.application(shown);
+        }
         if let Some(plugin) = shown.and_then(|shown| find(&self.plugins.0, shown)) {
             return Ok(Caller {
                 view: self.domains.of_plugin(plugin).cloned(),
                 plugin: Some(plugin.clone()),
+                application: None,
             });
         }
         let is_operator = match (&self.tokens.operator, shown) {
             (Operator::Everyone, _) if foreign(headers) => return Err(Failure::forbidden()),
             (Operator::Everyone, _) => true,
-            (Operator::User, None) => over_socket,
+            (Operator::User, None) => origin == Origin::User,
             (Operator::Token(token), Some(shown)) if token.is(shown) => true,
             (_, shown) => shown.is_some_and(|shown| self.pages.admit(shown)),
         };
@@ -229,7 +261,7 @@ impl Gate {
         }
         let of_domain = shown.and_then(|shown| find(&self.tokens.domains, shown));
         let view = of_domain.and_then(|domain| self.domains.view(domain));
-        view.map(|view| Caller { view: Some(Arc::clone(view)), plugin: None })
+        view.map(|view| Caller { view: Some(Arc::clone(view)), plugin: None, application: None })
             .ok_or_else(Failure::unauthorized)
     }
 }
@@ -270,7 +302,7 @@ async fn admit(
     mut request: Request,
     check: impl FnOnce(&Caller) -> Result<(), Failure>,
 ) -> Result<Request, Failure> {
-    let caller = gate.caller(request.headers(), place.is_of_user())?;
+    let caller = gate.caller(request.headers(), place.origin())?;
     check(&caller)?;
     request = place.let_in(caller.whose(), request).await?;
     request.extensions_mut().insert(caller);
@@ -287,7 +319,7 @@ pub(super) async fn check(
 }
 
 /// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai` and `/location` a
-/// service is the operator's, and below `/domains/{name}` that domain's.
+/// service is the operator's, and below `/domains/{name}` that domain's. An application acts for itself only.
 pub(super) async fn check_mec(
     State(gate): State<Gate>,
     Extension(place): Extension<Arc<Place>>,
@@ -296,8 +328,11 @@ pub(super) async fn check_mec(
 ) -> Response {
     let path = request.uri().path().to_owned();
     let admitted = admit(&gate, &place, request, |caller| {
-        match path.strip_prefix("/domains/").and_then(|rest| rest.split('/').next()) {
-            Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain),
+        match path.strip_prefix("/domains/").map(|rest| rest.split_once('/').unwrap_or((rest, ""))) {
+            Some((domain, rest)) => {
+                caller.sees(&domain, |view| view.domain().as_str() == domain)?;
+                caller.acts_for_itself(rest)
+            }
             None if path.starts_with("/wai/") || path.starts_with("/location/") => caller.operator(),
             None => Ok(()),
         }

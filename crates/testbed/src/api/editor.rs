@@ -26,7 +26,7 @@ use super::{
     serve::{self, Patience, Place},
     sign_in,
     signed_in::SignIns,
-    tls::Port,
+    tls::{Origin, Port},
     types::{Failure, TestbedBody},
 };
 
@@ -149,7 +149,7 @@ impl Editor {
             let _entered = runtime.enter();
             tokio::net::TcpListener::from_std(listener.tcp).map_err(ApiError::Start)?
         };
-        let tcp = Port { listener: tcp, tls: None };
+        let tcp = Port { listener: tcp, tls: None, origin: Origin::Machine };
         let places = Arc::new(Mutex::new(Connections::new(Limits::of(OPEN_FILES))));
         let (stop, stopped) = oneshot::channel();
         let serving = async move {

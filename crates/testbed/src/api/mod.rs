@@ -1,6 +1,7 @@
 //! The HTTP API: the current state, the history, events, and instructions. A script can do everything here that bundled
 //! plug-ins can. The API is described at `/openapi.json`.
 
+mod application_tokens;
 mod applications;
 mod auth;
 mod capture;
@@ -48,7 +49,7 @@ use self::{
     context::BLOCKING_THREADS,
     serve::Patience,
     signed_in::SignIns,
-    tls::Port,
+    tls::{Origin, Port},
 };
 use crate::domain::Domains;
 
@@ -57,6 +58,7 @@ pub fn app_lcm_openapi() -> String {
     applications::openapi()
 }
 
+pub(crate) use application_tokens::Applications;
 pub(crate) use auth::PluginTokens;
 pub use auth::{Operator, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
@@ -185,6 +187,9 @@ pub(crate) struct Listener {
     tls: Option<Arc<ServerConfig>>,
     network: Option<NetworkApi>,
     announced: Option<Announced>,
+    /// Port of an emulated node for these applications.
+    on_node: Option<std::net::TcpListener>,
+    applications: Applications,
 }
 
 impl Listener {
@@ -200,7 +205,15 @@ impl Listener {
             return Err(ApiError::TokenMissing(address));
         }
         let tcp = bind(address, moved)?;
-        let mut listener = Self { tcp, loopback: None, tls: None, network: None, announced: None };
+        let mut listener = Self {
+            tcp,
+            loopback: None,
+            tls: None,
+            network: None,
+            announced: None,
+            on_node: None,
+            applications: Applications::default(),
+        };
         let bound = listener.address();
         if address.port() != 0 && bound != address {
             tracing::warn!("{address} is taken: the API is on {bound}");
@@ -234,6 +247,11 @@ impl Listener {
             runs.announce(self.address(), name, what).inspect_err(told).ok()
         });
         Self { announced, ..self }
+    }
+
+    /// Also lets applications reach services of ETSI MEC at a port of an emulated node.
+    pub(crate) fn on_node(self, tcp: Option<std::net::TcpListener>, applications: Applications) -> Self {
+        Self { on_node: tcp, applications, ..self }
     }
 
     /// Returns the address at which programs of this machine reach the API without TLS.
@@ -279,9 +297,15 @@ impl Server {
         let programs = crate::plugins::programs(&context.testbed).filter(|id| context.hosted.contains(*id));
         let plugins = PluginTokens::new(programs).map_err(ApiError::Start)?;
         let pages = Arc::new(SignIns::default());
-        let gate = Gate::new(tokens, plugins.clone(), domains, Arc::clone(&pages));
+        let gate = Gate::new(
+            tokens,
+            plugins.clone(),
+            Arc::clone(&domains),
+            Arc::clone(&pages),
+            listener.applications.clone(),
+        );
         let dashboard = Dashboard::new(&listener, Arc::clone(&pages));
-        for tcp in listener.loopback.iter().chain([&listener.tcp]) {
+        for tcp in listener.loopback.iter().chain([&listener.tcp]).chain(&listener.on_node) {
             tcp.set_nonblocking(true).map_err(ApiError::Start)?;
             socket2::SockRef::from(tcp).listen(BACKLOG).map_err(ApiError::Start)?;
         }
@@ -298,7 +322,8 @@ impl Server {
         let (open, opened) = oneshot::channel();
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
-        let (mec, mut senders) = mec::serve(&context, gate.clone());
+        let (mec, mut senders) = mec::serve(&context, gate.clone(), &domains);
+        let for_nodes = mec::on_node(mec.clone()).layer(middleware::from_fn(serve::attend));
         let (lifecycle, more) = applications::serve(&context, gate.clone());
         senders.extend(more);
         let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
@@ -322,17 +347,17 @@ impl Server {
             .name("api".to_owned())
             .spawn(move || {
                 runtime.block_on(async move {
-                    let port = |tcp, tls| {
-                        Ok::<_, std::io::Error>(Port {
-                            listener: tokio::net::TcpListener::from_std(tcp)?,
-                            tls,
-                        })
+                    let port = |tcp, tls, origin| {
+                        let listener = tokio::net::TcpListener::from_std(tcp)?;
+                        Ok::<_, std::io::Error>(Port { listener, tls, origin })
                     };
-                    let listeners = port(listener.tcp, listener.tls).and_then(|tcp| {
-                        let loopback = listener.loopback.map(|tcp| port(tcp, None)).transpose()?;
-                        Ok((tcp, loopback, local.map(tokio::net::UnixListener::from_std).transpose()?))
+                    let listeners = port(listener.tcp, listener.tls, Origin::Machine).and_then(|tcp| {
+                        let loopback = listener.loopback.map(|tcp| port(tcp, None, Origin::Machine));
+                        let on_node = listener.on_node.map(|tcp| port(tcp, None, Origin::Node));
+                        let local = local.map(tokio::net::UnixListener::from_std);
+                        Ok((tcp, loopback.transpose()?, on_node.transpose()?, local.transpose()?))
                     });
-                    let (tcp, loopback, local) = match listeners {
+                    let (tcp, loopback, on_node, local) = match listeners {
                         Ok(listeners) => listeners,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
@@ -357,12 +382,21 @@ impl Server {
                             None => std::future::pending().await,
                         }
                     };
+                    let to_applications = async {
+                        match on_node {
+                            Some(tcp) => {
+                                serve::serve(tcp, for_nodes, places(limits), patience).await;
+                            }
+                            None => std::future::pending().await,
+                        }
+                    };
                     // An open event stream must not keep a finished run alive, so this stops at once rather than
                     // gracefully.
                     tokio::select! {
                         () = serve::serve(tcp, app.clone(), Arc::clone(&of_ports), patience) => {}
                         () = on_loopback => {}
                         () = to_user => {}
+                        () = to_applications => {}
                         _ = stopped => {}
                     }
                 });

@@ -43,7 +43,7 @@ use tokio_util::either::Either;
 
 use super::{
     connections::{Connections, Full, Whose},
-    tls::{self, Port},
+    tls::{self, Origin, Port},
     types::Failure,
 };
 use crate::capture::PCAPNG;
@@ -88,8 +88,9 @@ type Beginning<S> = Pin<Box<dyn Future<Output = io::Result<S>> + Send>>;
 pub(super) trait Accept {
     type Socket: Send + 'static;
     type Stream: AsyncRead + AsyncWrite + Unpin + Send + 'static;
-    /// Whether only the run's user can connect.
-    const IS_OF_USER: bool;
+
+    /// Returns the origin of connections.
+    fn origin(&self) -> Origin;
 
     /// Accepts the next connection. Returns the address whose connections share places with it, too.
     async fn accept(&self) -> io::Result<(Self::Socket, IpAddr)>;
@@ -101,7 +102,10 @@ pub(super) trait Accept {
 impl Accept for Port {
     type Socket = TcpStream;
     type Stream = Either<TcpStream, TlsStream<TcpStream>>;
-    const IS_OF_USER: bool = false;
+
+    fn origin(&self) -> Origin {
+        self.origin
+    }
 
     async fn accept(&self) -> io::Result<(TcpStream, IpAddr)> {
         let (stream, from) = self.listener.accept().await?;
@@ -121,7 +125,10 @@ impl Accept for Port {
 impl Accept for UnixListener {
     type Socket = UnixStream;
     type Stream = UnixStream;
-    const IS_OF_USER: bool = true;
+
+    fn origin(&self) -> Origin {
+        Origin::User
+    }
 
     async fn accept(&self) -> io::Result<(UnixStream, IpAddr)> {
         let (stream, _) = self.accept().await?;
@@ -157,7 +164,7 @@ pub(super) async fn serve<L: Accept>(listener: L, app: Router, connections: Plac
         let (close, closed) = oneshot::channel();
         let number = connections.lock().arrive(from, close);
         let connections = Arc::clone(&connections);
-        let place = Arc::new(Place { connections, number, patience, is_of_user: L::IS_OF_USER });
+        let place = Arc::new(Place { connections, number, patience, origin: listener.origin() });
         let (http, app, begun) = (http.clone(), app.clone(), listener.begin(socket));
         tokio::spawn(async move {
             let connection = async {
@@ -196,13 +203,13 @@ pub(super) struct Place {
     connections: Arc<Mutex<Connections<Close>>>,
     number: u64,
     patience: Patience,
-    is_of_user: bool,
+    origin: Origin,
 }
 
 impl Place {
-    /// Whether the connection came over the socket that only the run's user can open.
-    pub(super) fn is_of_user(&self) -> bool {
-        self.is_of_user
+    /// Returns the origin of the connection.
+    pub(super) fn origin(&self) -> Origin {
+        self.origin
     }
 
     /// Admits a request, and reads its body.

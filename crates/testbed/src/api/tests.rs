@@ -4,6 +4,7 @@ mod applications;
 mod bounds;
 mod links;
 mod machines;
+mod nodes;
 mod tls;
 
 use std::{
@@ -387,9 +388,30 @@ fn sensors_show_their_last_reading_and_are_followed_by_name() {
     assert_eq!(served.get("events?sensors=a,%20,b").0, 400);
 }
 
+const DOMAINS: &str = "
+name: served
+domains: [one, two]
+wireless: { lab: {} }
+nodes:
+  robot: { kind: robot, position: [0, 0] }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  B: { kind: radio_unit, domain: two, position: [9, 1], channel: 1 }
+  right: { kind: server, domain: two, tier: fog, cpus: 1, memory: 1 GB }
+links:
+  - { ends: [A, left] }
+  - { ends: [A, B] }
+  - { ends: [B, right] }
+plugins:
+  - { bundled: probing, domain: one }
+  - { id: watcher, command: [\"true\"] }
+";
+
 /// A testbed of two domains with a token each; the first has a robot.
 struct Domains {
     server: Server,
+    applications: Applications,
+    on_node: SocketAddr,
     events: EventStream,
     core: mpsc::Receiver<Message>,
     live: Live,
@@ -412,24 +434,11 @@ impl Domains {
     }
 
     fn prepare(found_in: Option<&Runs>) -> Self {
-        let text = "
-name: served
-domains: [one, two]
-wireless: { lab: {} }
-nodes:
-  robot: { kind: robot, position: [0, 0] }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
-  B: { kind: radio_unit, domain: two, position: [9, 1], channel: 1 }
-  right: { kind: server, domain: two, tier: fog, cpus: 1, memory: 1 GB }
-links:
-  - { ends: [A, left] }
-  - { ends: [A, B] }
-  - { ends: [B, right] }
-plugins:
-  - { bundled: probing, domain: one }
-  - { id: watcher, command: [\"true\"] }
-";
+        Self::prepare_of(DOMAINS, found_in)
+    }
+
+    /// Prepares the API of a testbed file. Applications reach it at a port of loopback in place of an emulated node's.
+    fn prepare_of(text: &str, found_in: Option<&Runs>) -> Self {
         let testbed = cotorra_testbed_file::parse("served.yaml", text, Path::new(""))
             .unwrap_or_else(|e| panic!("{e:?}"));
         let history = Arc::new(History::in_memory().unwrap());
@@ -470,12 +479,20 @@ plugins:
                 .unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens, &Encryption::Off).unwrap();
         let listener = listener.announced(found_in, "served", "/runs/served");
+        let (applications, node) =
+            (Applications::new(&testbed), std::net::TcpListener::bind("127.0.0.1:0").unwrap());
+        let on_node = node.local_addr().unwrap();
+        let listener = listener.on_node(Some(node), applications.clone());
         let server = Server::start(listener, context, tokens).unwrap();
-        Self { server, events, core: inbox, live, logs }
+        Self { server, applications, on_node, events, core: inbox, live, logs }
     }
 
     fn ask(&self, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {
-        let mut stream = TcpStream::connect(self.server.dashboard().address()).unwrap();
+        Self::ask_at(self.server.dashboard().address(), token, head, body)
+    }
+
+    fn ask_at(address: SocketAddr, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {
+        let mut stream = TcpStream::connect(address).unwrap();
         let length = body.len();
         write!(
             stream,

@@ -240,6 +240,18 @@ fn ipv6_addresses(interfaces: &str) -> BTreeSet<Ipv6Addr> {
 pub(super) struct Port {
     pub(super) listener: TcpListener,
     pub(super) tls: Option<Arc<ServerConfig>>,
+    pub(super) origin: Origin,
+}
+
+/// Origin of a connection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// The run's socket, which only its user can open.
+    User,
+    /// A port of this machine.
+    Machine,
+    /// A port of an emulated node, which its applications reach.
+    Node,
 }
 
 /// Begins a connection at a port with TLS, which buffers so many bytes of answers.

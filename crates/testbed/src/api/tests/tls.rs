@@ -8,7 +8,7 @@ use tokio::{
 };
 
 use super::*;
-use crate::api::tls;
+use crate::api::tls::{self, Origin};
 
 #[test]
 fn a_stalled_handshake_is_given_up() {
@@ -22,7 +22,7 @@ fn a_stalled_handshake_is_given_up() {
         let own = listener.local_addr().unwrap();
         let patience = Patience { begin: Duration::from_millis(1), ..Patience::default() };
         let places = Arc::new(Mutex::new(Connections::new(FEW)));
-        let port = Port { listener, tls: Some(config) };
+        let port = Port { listener, tls: Some(config), origin: Origin::Machine };
         let clients = async {
             for said in [&[][..], &[22], &[22, 3, 1, 2, 0]] {
                 let mut stream = TcpStream::connect(own).await.unwrap();

@@ -16,7 +16,7 @@ use cotorra_graph::{EngineKind, ListenPort, NodeId, Testbed, Transport, Vnf, Vnf
 use cotorra_plugin::wire;
 
 use super::launcher::robots_by_vnf;
-use crate::{core::message::Message, error::RunError, folder::whole, report::RunFolder};
+use crate::{api::Applications, core::message::Message, error::RunError, folder::whole, report::RunFolder};
 
 /// The engines that a testbed needs, by their kind.
 pub(crate) type Addresses = BTreeMap<EngineKind, Address>;
@@ -68,6 +68,7 @@ impl Containers {
         datapath: &Arc<Datapath>,
         folder: &RunFolder,
         messages: &Sender<Message>,
+        applications: Applications,
     ) -> io::Result<Self> {
         // One mount for each file or folder beside the testbed file.
         let files = whole::files(folder.path())?;
@@ -85,6 +86,7 @@ impl Containers {
             hosts,
             files,
             messages: messages.clone(),
+            applications,
         };
         let (testbed, nodes) = (Arc::clone(testbed), Arc::new(nodes));
         Ok(Self { testbed, addresses, nodes, folder: folder.clone(), engines: BTreeMap::new() })
@@ -151,6 +153,7 @@ struct Nodes {
     /// The testbed file and what it names, with their paths in containers.
     files: Vec<(PathBuf, PathBuf)>,
     messages: Sender<Message>,
+    applications: Applications,
 }
 
 impl Surroundings for Nodes {
@@ -166,7 +169,11 @@ impl Surroundings for Nodes {
             let path = Path::new(cotorra_vnfs::FILES).join(RunFolder::TESTBED);
             (cotorra_vnfs::TESTBED, path.to_string_lossy().into_owned())
         });
-        let ours = [robot, port, testbed].into_iter().flatten();
+        let platform = self.applications.environment(&vnf.id, node).unwrap_or_else(|error| {
+            tracing::warn!("`{}` has no token for ETSI MEC's services: {error}", vnf.id);
+            Vec::new()
+        });
+        let ours = [robot, port, testbed].into_iter().flatten().chain(platform);
         let ros = self.testbed.graph.ros1_environment(node).into_iter();
         ros.map(|(name, value)| (name.to_string(), value))
             .chain(ours.map(|(name, value)| (name.to_owned(), value)))

@@ -13,7 +13,7 @@ use cotorra_engine::{Launcher, Process, program_of, program_of_others};
 use cotorra_graph::{NodeId, Program, Service, Testbed, Vnf, VnfId};
 use cotorra_plugin::wire;
 
-use crate::{core::message::Message, real::confined::Confined};
+use crate::{api::Applications, core::message::Message, real::confined::Confined};
 
 /// Starts VNFs as processes in the nodes of a datapath.
 pub(super) struct NodeLauncher {
@@ -23,6 +23,7 @@ pub(super) struct NodeLauncher {
     confined: Confined,
     robots: BTreeMap<VnfId, NodeId>,
     messages: Sender<Message>,
+    applications: Applications,
 }
 
 impl NodeLauncher {
@@ -32,9 +33,10 @@ impl NodeLauncher {
         testbed_file: PathBuf,
         confined: Confined,
         messages: Sender<Message>,
+        applications: Applications,
     ) -> Self {
         let robots = robots_by_vnf(&testbed);
-        Self { testbed, datapath, testbed_file, confined, robots, messages }
+        Self { testbed, datapath, testbed_file, confined, robots, messages, applications }
     }
 }
 
@@ -57,6 +59,7 @@ impl Launcher for NodeLauncher {
         cgroups: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
         command.envs(self.testbed.graph.ros1_environment(node));
+        command.envs(self.applications.environment(&vnf.id, node)?);
         if matches!(vnf.program, Program::Command(_)) {
             if let Some(folder) = self.confined.folder(vnf) {
                 command.current_dir(folder);

@@ -111,7 +111,8 @@ impl Run {
         if let Some(wifi) = &wifi {
             real_network.add_wifi(wifi.handle());
         }
-        let nodes = NodesUp::start(&prepared, &mut network, real_network, script, confined)?;
+        let mut nodes = NodesUp::start(&prepared, &mut network, real_network, script, confined)?;
+        let listener = listener.on_node(nodes.platform.take(), nodes.applications.clone());
         let services = ServicesUp::start(&prepared, &network, listener, plugins)?;
         Self::start_core(prepared, (network, wifi), nodes, services)
     }
@@ -126,7 +127,7 @@ impl Run {
         let receptions = start_receivers(&nodes.sockets, &network)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
         let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
-        let NodesUp { mut core, masters, sockets, image_sockets, radios } = nodes;
+        let NodesUp { mut core, masters, sockets, image_sockets, radios, .. } = nodes;
         let ServicesUp { live, stream, mut server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);
         if tap.is_some() {

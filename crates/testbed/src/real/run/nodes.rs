@@ -1,6 +1,11 @@
 //! The third phase of a run: robots are driven, and VNFs can be started.
 
-use std::{collections::BTreeMap, io, net::UdpSocket, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    io,
+    net::{TcpListener, UdpSocket},
+    sync::Arc,
+};
 
 use cotorra_datapath::Datapath;
 use cotorra_engine::{CgroupError, Cgroups, Engine, ProcessEngine};
@@ -12,6 +17,7 @@ use super::{
     containers::Containers, engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared,
 };
 use crate::{
+    api::Applications,
     border::{Border, Places, Tunnels},
     core::{Core, images, script::Script},
     error::{RunError, system},
@@ -34,6 +40,9 @@ pub(super) struct NodesUp {
     pub(super) sockets: BTreeMap<NodeId, UdpSocket>,
     /// The Wi-Fi programs at agents, if there are any.
     pub(super) radios: Option<Wifi>,
+    /// Access of applications to the platform, and its port on its node.
+    pub(super) applications: Applications,
+    pub(super) platform: Option<TcpListener>,
 }
 
 impl NodesUp {
@@ -48,17 +57,27 @@ impl NodesUp {
         let (testbed, datapath) = (&prepared.testbed, &network.datapath);
         let sockets = open_sockets(testbed, datapath, testbed.graph.robots().map(|(node, _)| &node.id))?;
         let image_sockets = open_sockets(testbed, datapath, images::senders(testbed))?;
+        let applications = Applications::new(testbed);
+        let platform = open_platform(&applications, datapath)?;
         let launcher = NodeLauncher::new(
             Arc::clone(testbed),
             Arc::clone(datapath),
             prepared.folder.testbed(),
             confined,
             network.messages.clone(),
+            applications.clone(),
         );
         let cgroups = Cgroups::new().inspect_err(|error| warn_of_limits(testbed, error)).ok();
         let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.vnf_logs(), cgroups);
         let addresses = prepared.engines.clone();
-        let containers = Containers::new(testbed, addresses, datapath, &prepared.folder, &network.messages);
+        let containers = Containers::new(
+            testbed,
+            addresses,
+            datapath,
+            &prepared.folder,
+            &network.messages,
+            applications.clone(),
+        );
         let containers = containers.map_err(system("write the files of containers"))?;
         let (agents, at_agents, radios) = match prepared.agents(&network.now, &network.messages)? {
             Some(mut agents) => {
@@ -95,7 +114,7 @@ impl NodesUp {
             let tunnels = Tunnels::start(testbed, border, datapath, departures, &network.messages)?;
             core.open_border(Border::new(Arc::clone(testbed), border.clone(), tunnels, places));
         }
-        Ok(Self { core, masters: robots.masters(), image_sockets, sockets, radios })
+        Ok(Self { core, masters: robots.masters(), image_sockets, sockets, radios, applications, platform })
     }
 }
 
@@ -111,6 +130,14 @@ fn open_sockets<'a>(
         namespace.udp_socket((address.ipv4, 0)).map_err(system(format!("open the socket of `{id}`")))
     };
     robots.into_iter().map(|robot| Ok((robot.clone(), open(robot)?))).collect()
+}
+
+/// Opens the port where applications reach the platform, in the node on which it stands.
+fn open_platform(applications: &Applications, datapath: &Datapath) -> Result<Option<TcpListener>, RunError> {
+    let Some((node, address)) = applications.listen_at() else { return Ok(None) };
+    let namespace = datapath.namespace(node)?;
+    let listener = namespace.run(|| TcpListener::bind(address));
+    listener.map(Some).map_err(system(format!("open the port of ETSI MEC's services on `{node}`")))
 }
 
 /// Says what limits VNFs without control groups, if there are any that these would limit.
