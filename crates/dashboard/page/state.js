@@ -23,7 +23,7 @@ import { Series } from "./series.js";
 /** Kinds of events of which the timeline has all. */
 export const HAPPENINGS = [
     "placement", "handover", "detached", "vnf", "decision", "plugin_fault", "goal", "walk_finished", "notice",
-    "suggestion_answered",
+    "suggestion_answered", "federation_requested",
 ];
 /** Kinds of events that the page reads. */
 export const KINDS = [...HAPPENINGS, "robot", "link", "virtual_link", "service_time", "lateness", "machine"];
@@ -442,6 +442,8 @@ export function describe(event) {
             const moves = status === 0;
             return { group: "handover", title: `${robot} ${moves ? "moves" : "does not move"} to ${radio_unit}`, detail: moves ? "as suggested" : `status ${status}`, bad: !moves, robot };
         }
+        case "federation_requested":
+            return { group: "handover", title: `the brain of ${event.robot} requests a federation`, detail: "", robot: event.robot };
         case "placement":
             return { group: "placement", title: `${event.vnf} on ${[event.node].flat().join(", ")}`, detail: "answers from there" };
         case "vnf": {

@@ -269,6 +269,11 @@ events! {
     /// Age of contexts of one kind that the decision before it was taken on.
     Staleness(staleness: Staleness) = "staleness", about [Plugin(&staleness.plugin)],
         text text::staleness(staleness);
+    /// A robot's brain requested a federation, because the robot's walk is about to leave the coverage of its domain.
+    FederationRequested {
+        /// The robot.
+        robot: NodeId => "robot",
+    } = "federation_requested", about [Node(robot)], text robot.to_string();
 }
 
 impl EventKind {

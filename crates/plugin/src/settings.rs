@@ -23,6 +23,7 @@
 
 use std::{fmt::Display, ops::RangeInclusive, time::Duration};
 
+use cotorra_graph::Dbm;
 use serde::{
     Deserialize, Deserializer,
     de::{DeserializeOwned, Error},
@@ -128,6 +129,14 @@ impl Figure {
 /// A message with a correct example.
 pub fn duration<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
     Figure::TIME.deserialize(deserializer).map(Duration::from_secs_f64)
+}
+
+/// Decodes a signal from -120 dBm to 0 dBm, for `deserialize_with`.
+///
+/// # Errors
+/// A message with a correct example.
+pub fn signal<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Dbm, D::Error> {
+    Figure::SIGNAL.deserialize(deserializer).map(Dbm)
 }
 
 #[cfg(test)]

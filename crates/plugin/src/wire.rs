@@ -13,7 +13,7 @@
 //! | 4 | version, 3 |
 //! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose, 5 image |
 //! | 6 | length of the robot's name; 0 in answers |
-//! | 7 | 0 on the walk, 1 on the way to a goal; in answers also 2 at the goal, 3 no way leads there |
+//! | 7 | 0 on the walk, 1 on the way to a goal; in answers also 2 at the goal, 3 no way leads there, and 128 more if the robot needs a federation |
 //! | 8..12 | sequence number |
 //! | 12..16 | next waypoint |
 //! | 16..24 | time of emission, ns since the run began |
@@ -46,6 +46,8 @@ const VERSION: u8 = 3;
 const TEXT_LEN_AT: usize = 6;
 /// … and of what is said of a goal.
 const GOAL_AT: usize = 7;
+/// The bit of that byte by which a brain requests a federation.
+const FEDERATION: u8 = 128;
 
 /// The UDP port where a bundled VNF of a testbed listens, and where others receive images, wherever it runs: each VNF has one of
 /// its own, in the order of the file, so that one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
@@ -182,6 +184,8 @@ pub struct NavigationPacket {
     pub velocity: Twist,
     /// Progress on the way to the goal, if there is one.
     pub headway: Option<Headway>,
+    /// Whether the robot needs a federation, because its walk is about to leave the coverage of its domain.
+    pub needs_federation: bool,
 }
 
 /// Progress of a robot on the way to its goal.
@@ -199,7 +203,7 @@ impl NavigationPacket {
     /// The answer to a position packet of a robot on its walk.
     pub fn answering(position: &PositionPacket, waypoint: u32, velocity: Twist) -> Self {
         let PositionPacket { sequence, emitted, nonce, .. } = *position;
-        Self { sequence, emitted, nonce, waypoint, velocity, headway: None }
+        Self { sequence, emitted, nonce, waypoint, velocity, headway: None, needs_federation: false }
     }
 
     /// Writes the packet to `buffer`, in place of what it held.
@@ -218,6 +222,9 @@ impl NavigationPacket {
                 buffer.extend_from_slice(reason.as_bytes());
             }
         }
+        if self.needs_federation {
+            buffer[GOAL_AT] |= FEDERATION;
+        }
         self.velocity.encode_cdr(buffer);
     }
 
@@ -228,7 +235,7 @@ impl NavigationPacket {
     pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
         let header = Header::read(datagram, Kind::Navigation)?;
         let mut rest = header.rest;
-        let headway = match (header.goal, header.name_len) {
+        let headway = match (header.goal & !FEDERATION, header.name_len) {
             (0, 0) => None,
             (1, 0) => Some(Headway::Left(header.metres(&mut rest, datagram)?)),
             (2, 0) => Some(Headway::Arrived),
@@ -247,6 +254,7 @@ impl NavigationPacket {
             waypoint: header.waypoint,
             velocity: Twist::decode_cdr(rest)?,
             headway,
+            needs_federation: header.goal & FEDERATION != 0,
         })
     }
 }
@@ -458,6 +466,18 @@ mod tests {
         assert!(matches!(with(7, 2), Err(WireError::Robot)), "a reason, though it is there");
         assert!(matches!(with(32, 0xff), Err(WireError::Goal)), "the reason is no UTF-8");
         assert!(matches!(with(6, 255), Err(WireError::Short(86))));
+    }
+
+    #[test]
+    fn a_request_for_a_federation_changes_one_bit() {
+        let usual = NavigationPacket::answering(&position(), 4, to_twist(Velocity::planar(0.3, 0.0)));
+        let asking = NavigationPacket { needs_federation: true, ..usual.clone() };
+        let [mut without, mut with] = [Vec::new(), Vec::new()];
+        usual.encode(&mut without);
+        asking.encode(&mut with);
+        assert_eq!(NavigationPacket::decode(&with).unwrap(), asking);
+        with[7] ^= 128;
+        assert_eq!(with, without);
     }
 
     #[test]

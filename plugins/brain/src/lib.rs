@@ -8,6 +8,7 @@
 #![forbid(unsafe_code)]
 
 mod costmap;
+mod departing;
 mod floor;
 mod navigation;
 mod path;

@@ -10,7 +10,7 @@ use cotorra_plugin::{
     wire::{Headway, NavigationPacket, PositionPacket, WireError},
 };
 
-use crate::Brain;
+use crate::{Brain, departing::Departing};
 
 /// The testbed lets the robot go nowhere, so that it cannot be navigated.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +37,8 @@ pub struct NavigationVnf {
     brain: Brain,
     actions: Actions,
     robot: NodeId,
+    /// Present if the robot's domain federates at the brain's word.
+    departing: Option<Departing>,
     /// Reason of a standstill in the last answer.
     standstill: Option<String>,
 }
@@ -52,7 +54,7 @@ impl NavigationVnf {
         }
         let mut brain = Brain::for_robot(robot.clone());
         brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut Actions::default());
-        Ok(Self::with(robot.clone(), brain))
+        Ok(Self::with(testbed, robot.clone(), brain))
     }
 
     /// The navigation VNF of each robot that has a walk. They share the map's costs, which take longer to make than
@@ -60,11 +62,12 @@ impl NavigationVnf {
     pub fn of_all(testbed: &Testbed) -> BTreeMap<NodeId, Self> {
         let mut brain = Brain::new();
         brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut Actions::default());
-        brain.split().map(|(robot, brain)| (robot.clone(), Self::with(robot, brain))).collect()
+        brain.split().map(|(robot, brain)| (robot.clone(), Self::with(testbed, robot, brain))).collect()
     }
 
-    fn with(robot: NodeId, brain: Brain) -> Self {
-        Self { brain, actions: Actions::default(), robot, standstill: None }
+    fn with(testbed: &Testbed, robot: NodeId, brain: Brain) -> Self {
+        let departing = Departing::of(testbed, &robot);
+        Self { brain, actions: Actions::default(), robot, departing, standstill: None }
     }
 
     /// Writes the answer to a datagram to `answer`, in place of what it held.
@@ -92,7 +95,11 @@ impl NavigationVnf {
         let Some((Instruction::Move { velocity, waypoint, .. }, reason)) = self.actions.drain().next() else {
             return Err(PacketError::Stranger(packet.robot));
         };
-        NavigationPacket::answering(&packet, waypoint, to_twist(velocity)).encode(answer);
+        let needs_federation = self.departing.as_ref().is_some_and(|departing| {
+            departing.is_soon(&from_pose(&packet.pose, PoseSource::Localization), waypoint)
+        });
+        let walks = NavigationPacket::answering(&packet, waypoint, to_twist(velocity));
+        NavigationPacket { needs_federation, ..walks }.encode(answer);
         self.standstill = reason;
         Ok(())
     }

@@ -7,10 +7,9 @@ use std::{
 
 use cotorra_graph::{Instruction, NodeId, Timestamp};
 use cotorra_ledger::{Secret, ServiceId, negotiation::Creator};
-use cotorra_plugin::{Actions, Noted};
+use cotorra_plugin::{Actions, Noted, coverage::Coverage};
 
 use crate::{
-    coverage::Coverage,
     settings::Settings,
     steps::{Step, process},
 };

@@ -10,10 +10,10 @@ use cotorra_ledger::{
     Account, Attachment, Call, Event as LedgerEvent, Ledger, Notice, Requirements, Secret, ServiceId, Wei,
     negotiation::{Offer, Provider, ProviderStep},
 };
+use cotorra_plugin::coverage::Coverage;
 
 use crate::{
     context::{DomainContext, Unit},
-    coverage::Coverage,
     settings::{Behaviour, Settings},
     steps::Step,
 };

@@ -9,7 +9,9 @@ use cotorra_ledger::{
     negotiation::{Creator, CreatorStep},
 };
 
-use crate::{context::DomainContext, coverage::Edge, steps::Step};
+use cotorra_plugin::{coverage::Edge, departure::Trigger};
+
+use crate::{context::DomainContext, steps::Step};
 
 /// Pause between attempts to attach.
 const RETRY: Duration = Duration::from_millis(500);
@@ -27,6 +29,8 @@ pub(crate) struct Journey {
     /// Time of its halt, if it is halted.
     halted: Option<Timestamp>,
     edge: Option<Edge>,
+    /// Whether the robot's brain requested a service that was not announced yet.
+    requested: bool,
     known: bool,
 }
 
@@ -70,6 +74,7 @@ impl Journey {
             own: None,
             halted: None,
             edge: None,
+            requested: false,
             known: false,
         }
     }
@@ -154,6 +159,7 @@ impl Journey {
                 self.known = true;
                 self.arrived(robot, others, domain_context);
             }
+            Event::FederationRequested { robot: requester } if requester == robot => self.requested = true,
             Event::Handover(handover) if handover.robot == *robot => {
                 self.note_attachment(Some(&handover.to), domain_context);
                 self.arrived(robot, others, domain_context);
@@ -183,18 +189,32 @@ impl Journey {
         self.edge = domain_context.coverage.edge(pose, &self.walk, context.waypoint, horizon);
         let is_home = self.attached_to.as_ref().is_none_or(|unit| domain_context.units.contains_key(unit));
         match (&self.stage, &self.edge) {
-            (Stage::Home, Some(edge)) if is_home => {
-                let needed = self.requirements(edge, domain_context);
-                self.stage = Stage::Wanting(needed);
+            (Stage::Home, _) if is_home => {
+                if let Some(edge) = self.edge_to_serve(context, domain_context) {
+                    self.requested = false;
+                    self.stage = Stage::Wanting(self.requirements(&edge, domain_context));
+                }
             }
             (Stage::Away { .. }, None) => self.turn_back(pose.position(), domain_context),
-            (Stage::Home, None) if !is_home => self.turn_back(pose.position(), domain_context),
+            (Stage::Home, None) => self.turn_back(pose.position(), domain_context),
             _ => {}
         }
         let at_edge = self.edge.is_some_and(|edge| edge.within(speed) <= domain_context.settings.stop);
         let is_served = matches!(self.stage, Stage::Away { .. });
         if at_edge && is_home && !is_served && self.halted.is_none() {
             self.halt(robot, domain_context);
+        }
+    }
+
+    /// Returns the edge around which the robot needs a service now; `None` if it needs none.
+    fn edge_to_serve(&self, context: &RobotContext, domain_context: &DomainContext<'_>) -> Option<Edge> {
+        match domain_context.settings.trigger {
+            Trigger::Coverage => self.edge,
+            Trigger::Brain if !self.requested => None,
+            Trigger::Brain => {
+                let pose = &context.sensors.pose;
+                domain_context.coverage.edge(pose, &self.walk, context.waypoint, f64::INFINITY)
+            }
         }
     }
 

@@ -12,11 +12,10 @@ use cotorra_ledger::{
     Call, Event as LedgerEvent, Ledger, Notice, Secret, ServiceId,
     negotiation::{Creator, CreatorStep, Policy, Record, Request},
 };
-use cotorra_plugin::{Actions, Noted, Plugin, settings::InvalidSettings};
+use cotorra_plugin::{Actions, Noted, Plugin, coverage::Coverage, settings::InvalidSettings};
 
 use crate::{
     context::{DomainContext, Unit},
-    coverage::Coverage,
     error::LedgerError,
     hosting::Hosting,
     journey::{Journey, creator_steps},

@@ -4,7 +4,10 @@ use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::Dbm;
 use cotorra_ledger::{Price, Terms};
-use cotorra_plugin::settings::{self, Figure, InvalidSettings, duration};
+use cotorra_plugin::{
+    departure::{Departure, Trigger},
+    settings::{self, Figure, InvalidSettings, duration, signal},
+};
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::{Map, Value};
 
@@ -30,6 +33,8 @@ pub struct Settings {
     /// Time before a robot leaves coverage at which a service is announced.
     #[serde(deserialize_with = "duration")]
     pub lead: Duration,
+    /// Who says that a robot needs a service.
+    pub trigger: Trigger,
     /// Time before a robot leaves coverage at which it is halted if no other domain serves it.
     #[serde(deserialize_with = "duration")]
     pub stop: Duration,
@@ -144,13 +149,15 @@ fn variable() -> String {
 
 impl Default for Settings {
     fn default() -> Self {
+        let Departure { edge, lead, trigger } = Departure::default();
         Self {
             ledger: LedgerChoice::Modelled { block_period: published(), outage: None },
             endpoint: String::new(),
             price: None,
             highest_price: None,
-            edge: Dbm(-70.0),
-            lead: Duration::from_secs(30),
+            edge,
+            lead,
+            trigger,
             stop: Duration::from_secs(2),
             collect: None,
             bond: None,
@@ -263,10 +270,6 @@ fn price<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Price>, D:
         .ok_or_else(|| D::Error::custom(format!("{value} is not a price; write whole wei above 0")))
 }
 
-fn signal<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Dbm, D::Error> {
-    Figure::SIGNAL.deserialize(deserializer).map(Dbm)
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::json;
@@ -297,6 +300,7 @@ mod tests {
         );
         assert_eq!((settings.price, settings.edge), (Price::new(100), Dbm(-65.0)));
         assert_eq!((settings.accepted_within(), Settings::default().accepted_within()), (90, 120));
+        assert_eq!(settings.trigger, Trigger::Coverage);
         assert_eq!((settings.lead, settings.behaviour), (Duration::from_secs(60), Behaviour::Lying));
         let modelled = decode(json!({ "ledger": "modelled" })).unwrap().ledger;
         assert_eq!(modelled, Settings::default().ledger);

@@ -20,6 +20,7 @@ mod dashboard;
 mod disk;
 mod documents;
 mod edit;
+mod federation;
 mod fields;
 mod figures;
 mod flows;

@@ -11,3 +11,12 @@ CREATE TABLE staleness (
     oldest_ms   REAL NOT NULL,
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
+
+-- Requests of robots' brains for a federation.
+CREATE TABLE federation_requested (
+    run    INTEGER NOT NULL,
+    at_ns  INTEGER NOT NULL,
+    seq    INTEGER NOT NULL,
+    robot  INTEGER NOT NULL,
+    PRIMARY KEY (run, at_ns, seq)
+) WITHOUT ROWID;

@@ -166,6 +166,8 @@ struct Managed {
     rejected: RejectedAnswers,
     /// Declared sensors.
     sensing: Sensing,
+    /// Whether the last answer that counts requested a federation.
+    needs_federation: bool,
 }
 
 /// Numbers of answers that a robot rejected, and their last report.
@@ -327,6 +329,7 @@ impl RobotMiddleware {
             speed_limit,
             rejected,
             sensing: Sensing::default(),
+            needs_federation: false,
         };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
@@ -610,6 +613,13 @@ impl RobotMiddleware {
         }
         if answer.finished {
             managed.finish(now, &mut self.events);
+        }
+        if let Some(needed) = answer.needs_federation {
+            let before = std::mem::replace(&mut managed.needs_federation, needed);
+            if needed && !before {
+                let event = Event::FederationRequested { robot: robot.clone() };
+                self.events.push_back(Stamped { at: now, event });
+            }
         }
         if let Some(goal) = answer.goal {
             if matches!(goal.state, GoalState::Reached | GoalState::Failed) {

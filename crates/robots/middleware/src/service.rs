@@ -66,6 +66,8 @@ pub(crate) struct Answer {
     pub finished: bool,
     /// Event of the robot's goal.
     pub goal: Option<GoalEvent>,
+    /// Whether the brain requests a federation; `None` if the robot does not follow this answer on its walk.
+    pub needs_federation: Option<bool>,
 }
 
 impl ServiceEndpoint {
@@ -246,7 +248,8 @@ impl ServiceEndpoint {
         let reply = Reply { from, sequence, emitted, nonce };
         let (service_time, purpose) = self.exchange.receive(now, reply, is_valid)?;
         let of_this_goal = purpose.goal_changes == self.goal_changes;
-        let mut answer = Answer { service_time, velocity: None, finished: false, goal: None };
+        let mut answer =
+            Answer { service_time, velocity: None, finished: false, goal: None, needs_federation: None };
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
         if !newest || !of_this_goal {
             return Ok(answer);
@@ -260,6 +263,7 @@ impl ServiceEndpoint {
             return Ok(answer);
         } else {
             answer.finished = self.reach(packet.waypoint);
+            answer.needs_federation = Some(packet.needs_federation);
         }
         self.followed = Some(packet.sequence);
         answer.velocity = Some(from_twist(&packet.velocity));

@@ -36,6 +36,9 @@ pub(crate) fn line(at: Timestamp, event: &Event) -> Option<Log> {
             (level, robot.as_str(), counts)
         }
         Event::WalkFinished { robot } => (INFO, robot.as_str(), "is at the end of its walk".to_owned()),
+        Event::FederationRequested { robot } => {
+            (INFO, robot.as_str(), "needs a federation, says its brain".to_owned())
+        }
         Event::Goal(GoalEvent { robot, goal, state, reason, .. }) => {
             let (level, said) = match state {
                 GoalState::Progress => return None,

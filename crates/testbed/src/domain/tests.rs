@@ -86,6 +86,7 @@ fn events_of_other_domains_are_not_seen() {
         Event::ServiceTime(sample),
         Event::Scanned { robot: id("r1") },
         Event::SuggestionAnswered { robot: id("r1"), radio_unit: id("B"), status: 0 },
+        Event::FederationRequested { robot: id("r1") },
         Event::WalkFinished { robot: id("r1") },
         Event::Goal(cotorra_graph::GoalEvent {
             robot: id("r1"),

@@ -46,6 +46,8 @@ struct Outcome {
     vaps: BTreeMap<String, bool>,
     handovers: Vec<(f64, String, bool)>,
     detached: usize,
+    /// Times at which the brain requested a federation.
+    requested: Vec<f64>,
     /// Number of service times without an answer.
     lost: usize,
     faults: Vec<String>,
@@ -77,6 +79,7 @@ impl Outcome {
                 self.vaps.insert(life.node.to_string(), life.state == VnfState::Started);
             }
             Event::Handover(handover) => self.handovers.push((at, handover.to.to_string(), handover.fast)),
+            Event::FederationRequested { .. } => self.requested.push(at),
             Event::Detached { .. } => self.detached += 1,
             Event::ServiceTime(sample) => self.lost += usize::from(sample.took.is_none()),
             Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
@@ -148,6 +151,30 @@ fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
         outcome.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2")
     );
     assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
+}
+
+/// Lets the orchestrator of domain 1 wait for the robot's brain.
+const BY_BRAIN: &str = "plugins.orchestrator-1.settings.trigger=brain";
+
+#[test]
+fn the_brain_triggers_the_federation_on_each_way_out() {
+    let mut simulation = Simulation::new(testbed(&[BY_BRAIN]), 1).unwrap();
+    let outcome = Outcome::of(&mut simulation, 300.0);
+    let detail = outcome.detail();
+    assert!(outcome.finished && outcome.faults.is_empty(), "{:?}", outcome.faults);
+    assert_eq!((outcome.requested.len(), outcome.lost), (1, 0), "{:?}", outcome.requested);
+    // The plug-in announces with the next context, and the whole federation follows.
+    let announced = outcome.when(Step::Announced).unwrap_or_else(|| panic!("{detail}"));
+    let after = announced - outcome.requested[0];
+    assert!((0.0..=0.11).contains(&after), "{after}: {detail}");
+    for step in steps_to_attachment().chain([Step::Returned, Step::Ended]) {
+        assert!(outcome.when(step).is_some(), "{step}: {detail}");
+    }
+    // A request as early as the plug-in's own prediction.
+    let alone = Outcome::of(&mut Simulation::new(testbed(&[]), 1).unwrap(), 300.0);
+    let itself = alone.when(Step::Announced).unwrap();
+    assert!((announced - itself).abs() < 0.5, "{announced}, by itself {itself}");
+    assert!(alone.requested.is_empty(), "nobody asks the brain");
 }
 
 #[test]

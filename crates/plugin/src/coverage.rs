@@ -1,4 +1,4 @@
-//! Coverage of a domain's radio units, and predictions of when a robot leaves it, from its position, covariance and
+//! Coverage of radio units, and predictions of when a robot leaves it, from its position, covariance and
 //! walk.
 //!
 //! Signals follow the path-loss model, and walls if the network has any. They are without shadowing, which is unknown in
@@ -6,7 +6,9 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Dbm, HardwareGraph, NodeId, Pose, Position, RadioUnit, Walk, WirelessNetwork};
+use cotorra_graph::{
+    Dbm, DomainId, HardwareGraph, Node, NodeId, Pose, Position, RadioUnit, Walk, WirelessNetwork,
+};
 
 /// Distance between checked points of a walk, metres.
 const STEP_M: f64 = 0.1;
@@ -49,7 +51,17 @@ impl Edge {
 impl Coverage {
     /// Computes the coverage of a graph's radio units.
     pub fn of(graph: &HardwareGraph, edge: Dbm) -> Self {
-        let cells = graph.radio_units().filter_map(|(node, radio)| {
+        Self::of_some(graph, edge, |_| true)
+    }
+
+    /// Computes the coverage of a domain's radio units.
+    pub fn of_domain(graph: &HardwareGraph, domain: &DomainId, edge: Dbm) -> Self {
+        Self::of_some(graph, edge, |node| node.domain == *domain)
+    }
+
+    fn of_some(graph: &HardwareGraph, edge: Dbm, counts: impl Fn(&Node) -> bool) -> Self {
+        let units = graph.radio_units().filter(|(node, _)| counts(node));
+        let cells = units.filter_map(|(node, radio)| {
             let network = graph.wireless.get(&radio.network)?.clone();
             Some(Cell {
                 radio_unit: node.id.clone(),
