@@ -199,15 +199,17 @@ pub enum BundledVnf {
     Navigation,
     /// Monte Carlo localization: answers scans with poses.
     Localization,
+    /// The brain as a ROS node: answers poses with velocities.
+    RosNavigation,
 }
 
 /// Serves a bundled VNF for as long as the process lives.
 pub fn serve_vnf(vnf: BundledVnf) -> miette::Result<Infallible> {
-    let served = match vnf {
-        BundledVnf::Navigation => cotorra_vnfs::navigation(cotorra_datapath::be_punctual),
-        BundledVnf::Localization => cotorra_vnfs::localization(),
-    };
-    served.into_diagnostic()
+    match vnf {
+        BundledVnf::Navigation => cotorra_vnfs::navigation(cotorra_datapath::be_punctual).into_diagnostic(),
+        BundledVnf::Localization => cotorra_vnfs::localization().into_diagnostic(),
+        BundledVnf::RosNavigation => cotorra_ros_brain::serve(cotorra_datapath::be_timely).into_diagnostic(),
+    }
 }
 
 #[cfg(test)]

@@ -219,7 +219,7 @@ impl Bounded for Box<Vnf> {
         pinned_to.iter().for_each(|node| meter.name(node.as_str()));
         meter.nodes(node);
         match program {
-            Program::RobotDriver | Program::Navigation | Program::Localization => {}
+            Program::RobotDriver | Program::Navigation | Program::Localization | Program::RosNavigation => {}
             Program::Command(words) | Program::Host(words) => meter.words("command", words)?,
         }
         meter.words("env", env)?;

@@ -6,6 +6,7 @@ use std::{collections::BTreeMap, net::IpAddr, path::PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    flow::FlowProtocol,
     id::{AgentId, NodeId, SensorId},
     units::Position,
 };
@@ -33,6 +34,16 @@ impl Driver {
         match self {
             Self::Kobuki(kobuki) => kobuki.agent.as_ref(),
             Self::Simulated { .. } | Self::Ros1(_) | Self::Ros2(_) => None,
+        }
+    }
+
+    /// Returns the robot's address in ROS, if it has one.
+    pub fn ros(&self) -> Option<Ros> {
+        match self {
+            Self::Ros1(ros1) => Some(Ros::Ros1(ros1.clone())),
+            Self::Ros2(ros2) => Some(Ros::Ros2(ros2.clone())),
+            Self::Simulated { offer } => offer.as_ref().map(|offer| offer.ros.clone()),
+            Self::Kobuki(_) => None,
         }
     }
 }
@@ -91,6 +102,32 @@ pub enum Ros {
     Ros1(Box<Ros1>),
     /// Address in ROS 2.
     Ros2(Box<Ros2>),
+}
+
+impl Ros {
+    /// Returns the network in which the robot is reached.
+    pub fn network(&self) -> RosNetwork {
+        match self {
+            Self::Ros1(ros1) => ros1.master.network(),
+            Self::Ros2(ros2) => ros2.rmw.network(),
+        }
+    }
+
+    /// Returns the protocol of a flow from the robot's poses to its velocity commands. Commands repeat nothing of a pose.
+    pub fn poses_to_commands(&self) -> FlowProtocol {
+        match self {
+            Self::Ros1(ros1) => FlowProtocol::Ros1 {
+                request: ros1.resolved(&ros1.topics.amcl_pose),
+                answer: ros1.resolved(&ros1.topics.cmd_vel),
+                id: None,
+            },
+            Self::Ros2(ros2) => FlowProtocol::Ros2 {
+                request: ros2.resolved(&ros2.topics.amcl_pose),
+                answer: ros2.resolved(&ros2.topics.cmd_vel),
+                id: None,
+            },
+        }
+    }
 }
 
 /// Address of a robot in ROS 1.
@@ -172,6 +209,13 @@ pub enum RosNetwork {
     Testbed,
 }
 
+/// Returns the name of a ROS node of cotorra's for a robot. Names in ROS consist of letters, digits and underscores, in ROS 2
+/// without two underscores in a row.
+pub fn ros_node_name(robot: &NodeId, what: &str) -> String {
+    let parts = robot.as_str().split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
+    parts.fold(format!("cotorra_{what}"), |name, part| name + "_" + part)
+}
+
 fn resolved(namespace: &str, topic: &str) -> String {
     let namespace = namespace.trim_end_matches('/');
     if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") }
@@ -202,6 +246,14 @@ pub enum RosMaster {
 impl RosMaster {
     /// The port of a master that cotorra runs, which is that of every ROS 1 master.
     pub const PORT: u16 = 11311;
+
+    /// Returns the network in which it is reached.
+    pub fn network(&self) -> RosNetwork {
+        match self {
+            Self::Machine { .. } => RosNetwork::Machine,
+            Self::Testbed { .. } | Self::Node { .. } => RosNetwork::Testbed,
+        }
+    }
 }
 
 /// Names of a robot's topics: global ones begin with `/`, others are in its namespace. The same for ROS 1 and 2.

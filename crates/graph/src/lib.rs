@@ -76,7 +76,7 @@ pub use context::{
 pub use decision::Decision;
 pub use driver::{
     Driver, Kobuki, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, Rplidar, SensorMessage,
-    SensorTopic,
+    SensorTopic, ros_node_name,
 };
 pub use event::{Event, EventKind, InvalidKind, Series, Stamped};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};

@@ -160,6 +160,8 @@ pub enum Program {
     Navigation,
     /// Monte Carlo localization of the service's robot: scans in, poses with their covariance out.
     Localization,
+    /// The bundled brain as a ROS node: poses of the service's robot in on one topic, velocities out on another.
+    RosNavigation,
     /// Any program and its arguments, in the node's namespace. With an image they are those of its containers, and may be
     /// empty for the image's own.
     Command(Vec<String>),

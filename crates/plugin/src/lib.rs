@@ -31,8 +31,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`links`] has figures of links for plug-ins that compare them. [`vnf`], [`wire`] and [`convert`] are for VNFs, which talk to robots over the network under test. [`coverage`] and
-//! [`departure`] are for those that foresee where a walk leaves the coverage of a domain.
+//! [`links`] has figures of links for plug-ins that compare them. [`vnf`], [`wire`] and [`convert`] are for VNFs, which talk to
+//! robots over the network under test. [`coverage`] and [`departure`] are for those that foresee where a walk leaves the
+//! coverage of a domain.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

@@ -69,7 +69,10 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         builder.check_shared_channels(wireless, nodes);
     }
     let links = builder.links();
-    let services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
+    let mut services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
+    if let (Some(nodes), Some(services)) = (&nodes, &mut services) {
+        flows::of_brains(nodes, services);
+    }
     let containers = builder.containers();
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let traffic: Option<Vec<_>> = each(&record.traffic.0, |(id, traffic)| builder.traffic(id, traffic));

@@ -1409,6 +1409,7 @@ pub(crate) enum ProgramWord {
     RobotDriver,
     Navigation,
     Localization,
+    RosNavigation,
 }
 
 record! {
@@ -1677,4 +1678,5 @@ choice!(ProgramWord, "bundled program", {
     "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";
     "navigation" => Self::Navigation, "the bundled brain";
     "localization" => Self::Localization, "Monte Carlo localization: scans in, poses with their covariance out";
+    "ros_navigation" => Self::RosNavigation, "the bundled brain as a node of ROS 1 or 2: poses in, velocities out";
 });

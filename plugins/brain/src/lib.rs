@@ -3,8 +3,9 @@
 //! It plans over an inflated costmap with A*, follows by regulated pure pursuit, and answers each context of a robot
 //! with a velocity and the next waypoint. The answer depends on that context alone: an instance that starts on
 //! another server in the middle of a walk goes on as if it had been there all the time. [`Brain`] is the plug-in;
-//! [`serve()`] runs it as the navigation VNF, where contexts and instructions cross the network as packets. [`Floor`] tells
-//! where a robot can go on a map, for those who choose its walk.
+//! [`serve()`] runs it as the navigation VNF, where contexts and instructions cross the network as packets. [`Pilot`] does
+//! the same for a robot that says nothing but its pose, as robots in ROS do. [`Floor`] tells where a robot can go on a map,
+//! for those who choose its walk.
 #![forbid(unsafe_code)]
 
 mod costmap;
@@ -12,6 +13,7 @@ mod departing;
 mod floor;
 mod navigation;
 mod path;
+mod pilot;
 mod planner;
 mod pursuit;
 mod serve;
@@ -28,6 +30,8 @@ use cotorra_plugin::{Actions, Plugin, wire::Headway};
 use crate::{costmap::Costmap, navigation::Navigation};
 pub use crate::{
     floor::Floor,
+    navigation::Step,
+    pilot::Pilot,
     planner::Unreachable,
     serve::{NavigationVnf, NoWalk, PacketError, serve},
 };
@@ -64,6 +68,11 @@ impl Brain {
             Ok(None) => (Velocity::default(), Headway::Arrived),
             Err(unreachable) => (Velocity::default(), Headway::Blocked(unreachable.to_string())),
         })
+    }
+
+    /// Returns the robot's navigation, once the brain has started; `None` for a robot without a walk.
+    fn into_navigation(mut self, robot: &NodeId) -> Option<Navigation> {
+        self.navigations.remove(robot)
     }
 
     /// A brain for each of its robots.

@@ -68,6 +68,11 @@ impl Navigation {
         Self { map, walk, planner: Planner::default(), legs, detour: None, errand: None }
     }
 
+    /// Whether the walk has this waypoint. Its length, which means its end, is one, too.
+    pub fn has_waypoint(&self, waypoint: u32) -> bool {
+        waypoint as usize <= self.walk.waypoints.len()
+    }
+
     /// Returns the motion from `pose`, with `waypoint` as the next waypoint.
     pub fn step(&mut self, pose: &Pose, waypoint: u32) -> Step {
         if !pose.is_finite() {
@@ -105,6 +110,15 @@ impl Navigation {
         let on = path.project(here);
         let velocity = pursuit::follow(map, path, &on, pose, self.walk.speed_limit);
         Ok(Some((velocity, on.distance + path.remaining(&on))))
+    }
+
+    /// Returns the end of the first leg that passes near a place; the first waypoint if none does.
+    pub fn resume(&self, here: Position) -> u32 {
+        let passes = |leg: &Option<Result<Path, Unreachable>>| {
+            let Some(Ok(path)) = leg else { return false };
+            near(self.map.as_deref(), path, here).is_some()
+        };
+        self.legs.iter().position(passes).unwrap_or(0) as u32
     }
 
     /// The first waypoint from `waypoint` on that is not reached yet.

@@ -20,6 +20,12 @@ pub struct NoWalk {
     testbed: String,
 }
 
+impl NoWalk {
+    pub(crate) fn new(robot: &NodeId, testbed: &Testbed) -> Self {
+        Self { robot: robot.clone(), testbed: testbed.name.clone() }
+    }
+}
+
 /// Reason why a datagram gets no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum PacketError {
@@ -50,7 +56,7 @@ impl NavigationVnf {
     /// [`NoWalk`] if it has none.
     pub fn new(testbed: &Testbed, robot: &NodeId) -> Result<Self, NoWalk> {
         if testbed.walk(robot).is_none() {
-            return Err(NoWalk { robot: robot.clone(), testbed: testbed.name.clone() });
+            return Err(NoWalk::new(robot, testbed));
         }
         let mut brain = Brain::for_robot(robot.clone());
         brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut Actions::default());

@@ -88,6 +88,9 @@ impl Launcher for MachineLauncher {
             Program::Command(words) if words.is_empty() => return Err("its command is empty".to_owned()),
             Program::Command(words) => drop(command.args(words)),
             Program::Localization => drop(command.args([SELF, "vnf", "localization"])),
+            Program::RosNavigation => {
+                return Err("the brain in ROS runs in the emulated network's own nodes only".to_owned());
+            }
             _ => drop(command.args([SELF, "vnf", "navigation"])),
         }
         command.envs(self.environments.of(&vnf.id, replica));

@@ -227,6 +227,7 @@ fn program(vnf: &Vnf) -> String {
         Program::RobotDriver => format!("{} (robot driver)", vnf.id),
         Program::Navigation => format!("{} (bundled brain)", vnf.id),
         Program::Localization => format!("{} (Monte Carlo localization)", vnf.id),
+        Program::RosNavigation => format!("{} (bundled brain, in ROS)", vnf.id),
         Program::Command(words) | Program::Host(words) => format!("{} ({})", vnf.id, words.join(" ")),
     }
 }

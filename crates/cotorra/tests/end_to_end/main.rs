@@ -54,6 +54,7 @@ mod robot_at_agent;
 mod robots;
 mod ros1;
 mod ros2;
+mod ros_brain;
 mod ros_flows;
 mod ros_sensors;
 mod run;

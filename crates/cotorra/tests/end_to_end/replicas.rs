@@ -9,7 +9,7 @@ use tempfile::TempDir;
 use crate::harness::{Run, corridor_ending_in, kill, wait_until};
 
 /// Returns the processes that run navigation on a node, with their instance numbers.
-fn brains(run: &Run, node: &str) -> Vec<(u32, String)> {
+pub fn brains(run: &Run, node: &str) -> Vec<(u32, String)> {
     let brain = |pid: u32| {
         let environment = fs::read_to_string(format!("/proc/{pid}/environ")).ok()?;
         let of = |name: &str| environment.split('\0').find_map(|entry| entry.strip_prefix(name));

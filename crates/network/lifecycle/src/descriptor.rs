@@ -334,6 +334,7 @@ impl Descriptor {
             Program::RobotDriver => (&[][..], "the robot's driver"),
             Program::Navigation => (&[][..], "the bundled navigation"),
             Program::Localization => (&[][..], "the bundled localization"),
+            Program::RosNavigation => (&[][..], "the bundled navigation in ROS"),
             Program::Command(words) | Program::Host(words) => (&words[..], "a VNF"),
         };
         let mut keys = json!({

@@ -30,6 +30,15 @@ message! {
 }
 
 message! {
+    /// A whole number from 0 on.
+    #[derive(Default)]
+    pub struct UInt32 = "std_msgs" / "UInt32" {
+        /// The number.
+        data: u32,
+    }
+}
+
+message! {
     /// A signal without content.
     #[derive(Default)]
     pub struct Empty = "std_msgs" / "Empty" {}

@@ -6,4 +6,4 @@ mod localization;
 mod programs;
 
 pub use localization::{LocalizationVnf, NotLocalized, PacketError};
-pub use programs::{FILES, PORT, ROBOT, TESTBED, VnfError, localization, navigation};
+pub use programs::{Assignment, FILES, PORT, ROBOT, TESTBED, VnfError, assignment, localization, navigation};

@@ -52,7 +52,7 @@ pub enum VnfError {
 /// # Errors
 /// [`VnfError`]; never returns otherwise.
 pub fn navigation(hasten: impl FnOnce()) -> Result<Infallible, VnfError> {
-    let (testbed, robot, port) = asked()?;
+    let Assignment { testbed, robot, port } = assignment()?;
     let vnf = NavigationVnf::new(&testbed, &robot)?;
     serve(port, |socket| {
         hasten();
@@ -65,7 +65,7 @@ pub fn navigation(hasten: impl FnOnce()) -> Result<Infallible, VnfError> {
 /// # Errors
 /// [`VnfError`]; never returns otherwise.
 pub fn localization() -> Result<Infallible, VnfError> {
-    let (testbed, robot, port) = asked()?;
+    let Assignment { testbed, robot, port } = assignment()?;
     let mut vnf = LocalizationVnf::new(&testbed, &robot, testbed.seed)?;
     // No higher priority: localization works for longer than others can be held up, and its answer time is not measured.
     serve(port, |socket| {
@@ -74,15 +74,29 @@ pub fn localization() -> Result<Infallible, VnfError> {
     })
 }
 
-/// Returns the run's testbed, the served robot, and the VNF's port.
-fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
+/// What a bundled VNF serves.
+#[derive(Debug)]
+pub struct Assignment {
+    /// The run's testbed.
+    pub testbed: Testbed,
+    /// The served robot.
+    pub robot: NodeId,
+    /// UDP port of the VNF.
+    pub port: u16,
+}
+
+/// Returns what the variables of this process say.
+///
+/// # Errors
+/// [`VnfError`] if one is missing or invalid, or the testbed file cannot be read.
+pub fn assignment() -> Result<Assignment, VnfError> {
     let text = |name| env::var(name).map_err(|_| VnfError::Environment(name));
     let file = PathBuf::from(text(TESTBED)?);
     let robot = NodeId::new(&text(ROBOT)?)?;
     let port = text(PORT)?.parse().map_err(|_| VnfError::Environment(PORT))?;
     let testbed =
         cotorra_testbed_file::load(&file).map_err(|problems| VnfError::Testbed(problems.to_string()))?;
-    Ok((testbed, robot, port))
+    Ok(Assignment { testbed, robot, port })
 }
 
 /// Reports that the VNF is ready once it can be reached, and serves.

@@ -1,8 +1,8 @@
-//! Flows of the user's own programs, whose time is a service's.
+//! Flows of programs, whose time is a service's: the user's own, and the brain in ROS.
 
 use std::time::Duration;
 
-use cotorra_graph::{Flow, FlowId, FlowProtocol};
+use cotorra_graph::{Flow, FlowId, FlowProtocol, Node, NodeKind, Program, Service};
 
 use super::builder::Builder;
 use crate::{
@@ -12,6 +12,22 @@ use crate::{
 
 /// Shortest timeout of an answer, where answers can be told from one another.
 const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Measures each service of a brain in ROS from the robot's poses to the commands that answer them, unless its KPIs name a
+/// flow.
+pub(super) fn of_brains(nodes: &[Node], services: &mut [Service]) {
+    for Service { robot: id, vnfs, kpis, .. } in services {
+        let node = nodes.iter().find(|node| node.id == *id);
+        if let Some(NodeKind::Robot(robot)) = node.map(|node| &node.kind)
+            && let Some(ros) = robot.driver.ros()
+            && kpis.flow.is_none()
+            && vnfs.iter().any(|vnf| vnf.program == Program::RosNavigation)
+        {
+            let timeout = kpis.service_time * 2;
+            kpis.flow = Some(Flow { from: id.clone(), timeout, protocol: ros.poses_to_commands() });
+        }
+    }
+}
 
 impl Builder<'_> {
     /// The flow that a service's KPIs name; `None` if it cannot be.

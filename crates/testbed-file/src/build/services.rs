@@ -106,7 +106,14 @@ impl Builder<'_> {
                         .help("leave out `image`: the robot driver is part of cotorra");
                     None
                 }
+                (ProgramWord::RosNavigation, Some(image)) => {
+                    self.sink
+                        .error(&image.span, "an image of the brain in ROS")
+                        .help("leave out `image`, or leave out `program`: any image may be a ROS node");
+                    None
+                }
                 (ProgramWord::RobotDriver, None) => Some(Program::RobotDriver),
+                (ProgramWord::RosNavigation, None) => Some(Program::RosNavigation),
                 (ProgramWord::Navigation, _) => Some(Program::Navigation),
                 (ProgramWord::Localization, _) => Some(Program::Localization),
             },
@@ -114,8 +121,8 @@ impl Builder<'_> {
             (None, Some(command), None) => self.command(command).map(Program::Command),
             (None, None, None) => {
                 self.sink.error(span, "nothing says what this VNF runs").help(
-                    "add `program: navigation`, `program: localization`, `program: robot_driver`, \
-                     `command: [program, argument]`, or `image: NAME:TAG`",
+                    "add `program: navigation`, `program: ros_navigation`, `program: localization`, \
+                     `program: robot_driver`, `command: [program, argument]`, or `image: NAME:TAG`",
                 );
                 None
             }

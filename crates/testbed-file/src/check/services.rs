@@ -3,7 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use cotorra_graph::{
-    AccessPoint, Capacity, Containers, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId,
+    AccessPoint, Capacity, Containers, Node, NodeId, NodeKind, Program, RosNetwork, Service, Testbed, Vnf,
+    VnfId,
 };
 
 use super::containers;
@@ -147,10 +148,11 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
             }
             Program::Navigation => {
                 driven("navigation", place, service, sink);
-                if testbed.walk(&service.robot).is_none() {
-                    sink.error(place, format!("navigation for `{}`, which has no walk", service.robot))
-                        .help(format!("say where it goes, under `walks:`, at `{}:`", service.robot));
-                }
+                walks(place, service, testbed, sink);
+            }
+            Program::RosNavigation => {
+                in_ros(vnf, place, service, testbed, sink);
+                walks(place, service, testbed, sink);
             }
             _ => {}
         }
@@ -163,6 +165,33 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
     if service.vnfs.is_empty() && service.kpis.flow.is_none() {
         sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))
             .help("describe them under `vnfs:`, in the order in which packets visit them");
+    }
+}
+
+/// Checks that a robot which is navigated has a walk.
+fn walks(place: &Span, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    if testbed.walk(&service.robot).is_none() {
+        sink.error(place, format!("navigation for `{}`, which has no walk", service.robot))
+            .help(format!("say where it goes, under `walks:`, at `{}:`", service.robot));
+    }
+}
+
+/// Checks that a brain in ROS reaches its robot in the emulated network, and drives it alone.
+fn in_ros(vnf: &Vnf, place: &Span, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    let robot = testbed.graph.robots().find(|(node, _)| node.id == service.robot);
+    let network = robot.and_then(|(_, robot)| Some(robot.driver.ros()?.network()));
+    if network != Some(RosNetwork::Testbed) {
+        sink.error(place, format!("`{}` is not in ROS in the emulated network", service.robot))
+            .help("add `offer: ros1` or `offer: ros2` to the robot, without `network: machine`");
+    }
+    if service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
+        sink.error(place, "a brain in ROS beside a robot driver")
+            .help("leave out the robot driver: it drives the robot by packets of its own");
+    }
+    let is_real = |node: &NodeId| testbed.graph.node(node).is_some_and(|node| node.real_server().is_some());
+    if let Some(node) = vnf.node.all().iter().find(|node| is_real(node)) {
+        sink.error(place, format!("a brain in ROS on the real server `{node}`"))
+            .help("place it on a node that cotorra emulates");
     }
 }
 

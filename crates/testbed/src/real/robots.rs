@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use cotorra_datapath::Datapath;
 use cotorra_graph::{
     AgentId, Driver, Kobuki, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork,
-    Testbed, Timestamp,
+    Testbed, Timestamp, ros_node_name,
 };
 use cotorra_robot_middleware::{
     Clock, OfferedRobot, OfferedTime, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver,
@@ -162,7 +162,7 @@ impl Robots {
                 let topics = ros1.topics;
                 let connect = move || Ros1Offer::connect(config.clone(), &topics, testbed.map.as_ref(), time);
                 let start = || OfferedRobot::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
+                Ok(Box::new(self.inside(node, ros1.master.network(), start).map_err(system)?))
             }
             Driver::Simulated { offer: Some(Offer { ros: Ros::Ros2(ros2), clock: tells }) } => {
                 let config = ros2_config(&node.id, &ros2, "offer")?;
@@ -178,7 +178,7 @@ impl Robots {
                 let connect = move || Ros1Link::connect(config.clone(), &topics);
                 let robot = self.ros_robot(node, &robot);
                 let start = || RosDriver::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
+                Ok(Box::new(self.inside(node, ros1.master.network(), start).map_err(system)?))
             }
             Driver::Ros2(ros2) => {
                 let config = ros2_config(&node.id, &ros2, "driver")?;
@@ -242,7 +242,7 @@ impl Robots {
     fn config(&mut self, node: &Node, ros1: &Ros1, what: &str) -> Result<NodeConfig, RobotError> {
         let robot = &node.id;
         let wrong = |reason: ConfigError| RobotError::Master { robot: robot.clone(), reason };
-        let name = node_name(robot, what);
+        let name = ros_node_name(robot, what);
         let namespace = ros1.namespace.clone();
         let address = |node: &NodeId| self.testbed.graph.ipv4(node).map(|address| address.to_string());
         let parse = |uri: &str| uri.parse::<Endpoint>().map_err(|error| wrong(error.into()));
@@ -284,24 +284,9 @@ impl Robots {
     }
 }
 
-/// Returns the name of cotorra's ROS node for a robot. Names in ROS consist of letters, digits and underscores, in ROS 2
-/// without two underscores in a row.
-fn node_name(robot: &NodeId, what: &str) -> String {
-    let parts = robot.as_str().split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
-    parts.fold(format!("cotorra_{what}"), |name, part| name + "_" + part)
-}
-
-/// Returns the network in which a master is reached.
-fn network(master: &RosMaster) -> RosNetwork {
-    match master {
-        RosMaster::Machine { .. } => RosNetwork::Machine,
-        RosMaster::Testbed { .. } | RosMaster::Node { .. } => RosNetwork::Testbed,
-    }
-}
-
 /// Returns the configuration of a robot's ROS 2 node.
 fn ros2_config(robot: &NodeId, settings: &Ros2, what: &str) -> Result<ros2::NodeConfig, RobotError> {
-    let name = node_name(robot, what);
+    let name = ros_node_name(robot, what);
     let usual = match settings.domain {
         // The environment is ignored then.
         Some(domain) => ros2::NodeConfig { domain, ..ros2::NodeConfig::new(&name) },

@@ -208,7 +208,11 @@ impl VirtualEngine {
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
-                    Program::Command(_) | Program::Host(_) | Program::RobotDriver => return None,
+                    // A robot in ROS is rejected before.
+                    Program::Command(_)
+                    | Program::Host(_)
+                    | Program::RobotDriver
+                    | Program::RosNavigation => return None,
                 };
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })

@@ -193,7 +193,10 @@ impl Simulation {
             let what = match vnf.program {
                 Program::Command(_) => "VNF",
                 Program::Host(_) => "The container of node",
-                Program::RobotDriver | Program::Navigation | Program::Localization => continue,
+                Program::RobotDriver
+                | Program::Navigation
+                | Program::Localization
+                | Program::RosNavigation => continue,
             };
             let message =
                 format!("{what} {} does not run: in virtual time no program of others does", vnf.id);

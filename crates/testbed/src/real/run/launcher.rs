@@ -78,7 +78,11 @@ impl Launcher for NodeLauncher {
         if let Program::Command(words) = &vnf.program {
             return program_of(words, &vnf.env);
         }
-        let word = if vnf.program == Program::Localization { "localization" } else { "navigation" };
+        let word = match vnf.program {
+            Program::Localization => "localization",
+            Program::RosNavigation => "ros-navigation",
+            _ => "navigation",
+        };
         // The file of this process, even if it was replaced on the disk since.
         let mut command = program_of_others("/proc/self/exe", &[]);
         command.args(["vnf", word]).env(cotorra_vnfs::TESTBED, &self.testbed_file);
