@@ -1,6 +1,10 @@
 //! Examples and links in the documents.
 
-use std::fs;
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use crate::harness::{output, project_file, stderr};
 
@@ -56,6 +60,48 @@ fn files_to_change_exist() {
     for path in paths {
         assert!(project_file(path).exists(), "{path}");
     }
+}
+
+/// Returns the sources and manifests of a folder and all below it.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries =
+        fs::read_dir(folder).expect("the folder exists").filter_map(|entry| Some(entry.ok()?.path()));
+    let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
+    let is_source = |path: &PathBuf| path.extension().is_some_and(|e| e == "rs" || e == "toml");
+    files.into_iter().filter(is_source).chain(folders.iter().flat_map(|folder| sources(folder))).collect()
+}
+
+#[test]
+fn tests_that_the_page_on_the_letter_names_exist() {
+    let page = fs::read_to_string(project_file("docs/reference/letter.md")).unwrap();
+    let rows = page.lines().filter(|line| line.starts_with('|'));
+    let names: BTreeSet<_> = rows.flat_map(|row| row.split('`').skip(1).step_by(2)).collect();
+    let all: Vec<_> =
+        ["crates", "plugins"].iter().flat_map(|folder| sources(&project_file(folder))).collect();
+    let has_tests = |path: &Path| {
+        let text = fs::read_to_string(path).unwrap();
+        text.contains("#[test]") || text.contains("proptest!")
+    };
+    let modules = names.iter().filter_map(|name| name.strip_suffix("::"));
+    let is_in = |path: &Path, module: &str| {
+        path.with_extension("").components().any(|part| part.as_os_str() == module) && has_tests(path)
+    };
+    let modules: Vec<_> = modules.collect();
+    for module in &modules {
+        assert!(all.iter().any(|path| is_in(path, module)), "no test is in a module `{module}`");
+    }
+    let is_package = |name: &&&str| name.starts_with("cotorra-") && !name.contains(' ');
+    let packages: Vec<_> = names.iter().filter(is_package).collect();
+    for package in &packages {
+        let line = format!("name = \"{package}\"");
+        let is_its = |path: &&PathBuf| {
+            path.ends_with("Cargo.toml") && fs::read_to_string(path).unwrap().contains(&line)
+        };
+        let manifest = all.iter().find(is_its).unwrap_or_else(|| panic!("there is no package `{package}`"));
+        let folder = manifest.parent().unwrap();
+        assert!(all.iter().any(|path| path.starts_with(folder) && has_tests(path)), "{package} has no tests");
+    }
+    assert!(modules.len() > 15 && packages.len() > 5, "{modules:?} {packages:?}");
 }
 
 #[test]
