@@ -228,7 +228,7 @@ fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
     } else if draw.chance(0.1) && !links.is_empty() {
         links.remove(draw.whole(0..=links.len() - 1));
     }
-    Instruction::Map { from, to, links }
+    Instruction::Map { from, to, links, reservation: None }
 }
 
 /// Draws a goal for a robot: mostly near a place of a walk, sometimes anywhere, or none.

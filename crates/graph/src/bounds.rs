@@ -12,6 +12,7 @@ use crate::{
     hardware::Direction,
     id::{LinkId, NodeId, SensorId, VnfId},
     nodes::Nodes,
+    reservation::MapReservation,
     sensor::SensorKind,
     service::{Granted, Program, Rights, Vnf},
     units::Position,
@@ -123,6 +124,7 @@ fixed! {
     Option<Direction>;
     Option<Duration>;
     ThroughputTest;
+    Option<MapReservation>;
     // A velocity is not kept as JSON.
     Velocity;
     Option<f64>: |figure| figure.is_none_or(f64::is_finite);

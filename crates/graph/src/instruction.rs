@@ -15,6 +15,7 @@ use crate::{
     nodes::Nodes,
     part::Part,
     record::{Unreadable, slots as slot},
+    reservation::MapReservation,
     service::Vnf,
     units::{Position, millis},
 };
@@ -193,10 +194,14 @@ instructions! {
         /// The node at which it ends.
         to: NodeId => Object,
         /// The path's links, in order; an empty list removes the mapping.
-        links: Vec<LinkId> => Json,
-    } = "map", changes [Node(from), Node(to), Links(links)], text match links[..] {
-        [] => format!("unmap {from} to {to}"),
-        _ => format!("map {from} to {to} over {}", over(links)),
+        links: Vec<LinkId> => Path,
+        /// A reservation of its own. By default the path has that of its virtual links, as the testbed file wants it kept.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        reservation: Option<MapReservation> => PathReservation,
+    } = "map", changes [Node(from), Node(to), Links(links)], text match (&links[..], reservation) {
+        ([], _) => format!("unmap {from} to {to}"),
+        (_, None) => format!("map {from} to {to} over {}", over(links)),
+        (_, Some(own)) => format!("map {from} to {to} over {}, {own}", over(links)),
     };
     /// Change the conditions of a link.
     Condition {
@@ -348,7 +353,7 @@ mod tests {
     fn all_texts_of_an_instruction_together_have_a_bound() {
         let links = vec![LinkId::new(&"l".repeat(LinkId::LONGEST)).unwrap(); Instruction::MOST_LINKS];
         let node = || NodeId::new(&"n".repeat(NodeId::LONGEST)).unwrap();
-        let longest = Instruction::Map { from: node(), to: node(), links };
+        let longest = Instruction::Map { from: node(), to: node(), links, reservation: None };
         let bytes = longest.measure().unwrap();
         assert!(bytes > 256 * LinkId::LONGEST && bytes < Instruction::LONGEST, "{bytes}");
         let words = |words: usize| {

@@ -41,6 +41,7 @@ mod queue;
 mod real;
 mod real_machine;
 pub mod record;
+mod reservation;
 mod ros1_environment;
 mod routing;
 mod schedule;
@@ -116,6 +117,7 @@ pub use plugin_distance::{PluginDistance, Way};
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{RealLink, RealPort};
 pub use real_machine::{Gateway, Machine, Reached, RealRadio, RealServer};
+pub use reservation::{MapReservation, Reservations};
 pub use routing::{Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
 pub use search::{Arrival, cheapest_paths, steps_back};
@@ -123,8 +125,8 @@ pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReadin
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use staleness::{ContextKind, Staleness};
 pub use testbed::{
-    BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Reservations, Retention,
-    Retentions, Testbed, Walk,
+    BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Retention, Retentions, Testbed,
+    Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use traffic::{Arrivals, CongestionControl, Load, TrafficSource, UdpRate};

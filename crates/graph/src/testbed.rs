@@ -13,6 +13,7 @@ use crate::{
     id::{AgentId, DomainId, NodeId, PluginId},
     map::OccupancyGrid,
     plugin_distance::PluginDistance,
+    reservation::Reservations,
     schedule::Script,
     service::{Service, Vnf},
     traffic::TrafficSource,
@@ -65,18 +66,6 @@ pub struct Testbed {
     pub traffic: Vec<TrafficSource>,
     /// How wired links keep the reservations of mappings.
     pub reservations: Reservations,
-}
-
-/// How wired links keep the reservations of mappings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Reservations {
-    /// They only limit other mappings. Traffic is not shaped.
-    #[default]
-    Counted,
-    /// Packets of a mapping have at least the reserved rate when they need it, and may borrow what others leave over.
-    Guaranteed,
-    /// The reserved rate is also the highest one that packets of a mapping have.
-    Limited,
 }
 
 /// Emulator of links.

@@ -54,7 +54,7 @@ mod tests {
         // A new kind is the last: histories have the numbers.
         let names = Kind::ALL.map(Kind::as_str);
         assert_eq!((names[0], names[10], names[19]), ("robot", "decision", "suggestion_answered"));
-        assert_eq!(names[20], "federation_requested");
+        assert_eq!((names[20], names[21]), ("staleness", "federation_requested"));
     }
 
     #[test]

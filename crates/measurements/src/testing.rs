@@ -9,11 +9,12 @@ use cotorra_graph::{
     AccessPoint, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions, ContextKind,
     Correlation, CorrelationTime, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState,
     Image, InstancePath, Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters,
-    LinkId, LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId,
-    Pose, PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext,
-    Rate, Red, RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading,
-    ServiceId, ServiceTime, Staleness, Stamped, StationContext, StationCounts, Tested, ThroughputTest,
-    TimeParts, Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    LinkId, LinkTime, ListenPort, Loss, LostAt, LostCause, MapReservation, NodeId, Nodes, PathKind, Pie,
+    Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, Program, QueueDiscipline,
+    QueueLimit, RadioContext, Rate, Red, RedThresholds, Reservations, Rights, RobotContext, RobotFault,
+    Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Staleness, Stamped, StationContext,
+    StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace, Transport, Velocity,
+    VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -99,6 +100,15 @@ prop_compose! {
 
 fn velocity() -> impl Strategy<Value = Velocity> {
     (real(), real(), real()).prop_map(|(linear, vertical, angular)| Velocity { linear, vertical, angular })
+}
+
+prop_compose! {
+    fn map_reservation()(
+        kept in select(vec![Reservations::Counted, Reservations::Guaranteed, Reservations::Limited]),
+        rate in of(1_u64..),
+    ) -> MapReservation {
+        MapReservation { kept, rate: rate.and_then(BitRate::from_bits_per_second) }
+    }
 }
 
 prop_compose! {
@@ -389,11 +399,8 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         (vnf(), nodes()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
         added_vnf().prop_map(|vnf| Instruction::AddVnf { vnf: Box::new(vnf) }),
         vnf().prop_map(|vnf| Instruction::RemoveVnf { vnf }),
-        (node(), node(), vec(link(), 0..4)).prop_map(|(from, to, links)| Instruction::Map {
-            from,
-            to,
-            links
-        }),
+        (node(), node(), vec(link(), 0..4), of(map_reservation()))
+            .prop_map(|(from, to, links, reservation)| Instruction::Map { from, to, links, reservation }),
         (link(), of(direction()), change()).prop_map(|(link, direction, change)| Instruction::Condition {
             link,
             direction,

@@ -233,7 +233,7 @@ fn decide(
         }
     }
     for (from, to, links) in now.wants_paths(service, paths) {
-        actions.instruct_because(Instruction::Map { from, to, links }, &reason);
+        actions.instruct_because(Instruction::Map { from, to, links, reservation: None }, &reason);
     }
     // A robot that lost its radio unit, or took another by itself, gets its order again.
     if let Some(unit) = &placed.attachment

@@ -136,7 +136,7 @@ impl NetworkView {
                 match &decision.instruction {
                     Instruction::Place { vnf, node } => drop(self.end_move(vnf, node.first())),
                     Instruction::Attach { robot, radio_unit } => self.end_handover(robot, radio_unit),
-                    Instruction::Map { from, to, links } => {
+                    Instruction::Map { from, to, links, .. } => {
                         let ends = (from.clone(), to.clone());
                         if self.paths.get(&ends).is_some_and(|(_, asked)| asked == links) {
                             self.paths.remove(&ends);
@@ -605,7 +605,12 @@ walks:
         assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")));
         assert_eq!(now.wants_paths(service, to("far")), [], "it was asked for");
         assert_eq!(now.wants_paths(other, BTreeMap::from([(ends("far"), over("near"))])), [], "it is taken");
-        now.learn(&refused(Instruction::Map { from: node_id("r"), to: node_id("far"), links: over("far") }));
+        now.learn(&refused(Instruction::Map {
+            from: node_id("r"),
+            to: node_id("far"),
+            links: over("far"),
+            reservation: None,
+        }));
         assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")), "it was refused");
         assert!(now.wants_place(&vnf_id("r-brain"), &node_id("near")));
         assert_eq!(now.wants_paths(service, to("near")), asked("near", over("near")), "it is under way");

@@ -340,6 +340,7 @@ fn the_path_of_a_decision_is_mapped_there_and_back() {
         from: from.parse().unwrap(),
         to: to.parse().unwrap(),
         links: links.map(|link| link.parse().unwrap()).to_vec(),
+        reservation: None,
     };
     let there = map("robot", "edge", ["robot~R2", "R2-edge"]);
     let back = map("edge", "robot", ["R2-edge", "robot~R2"]);

@@ -14,8 +14,7 @@ fn the_brain_triggers_a_federation_across_the_emulated_network() {
     let run = Run::start_beside(&project_file("testbeds/federation.yaml"), &arguments);
     let first = |kind: &str, is: fn(&Value) -> bool| {
         let page = run.get(&format!("/api/v1/measurements/events?kinds={kind}"));
-        let found = page["items"].as_array()?.iter().find(|event| is(event))?["at_ns"].as_u64();
-        found
+        page["items"].as_array()?.iter().find(|event| is(event))?.get("at_ns")?.as_u64()
     };
     let requested = || first("federation_requested", |event| event["robot"] == "robot");
     let announced = || first("decision", |event| event["instruction"]["step"] == "announced");

@@ -15,7 +15,7 @@ fn log(run: &Run, vnf: &str) -> String {
 fn python(run: &Run, node: &str, program: &str) -> String {
     let mut command: Command =
         cotorra(["exec", "--api", run.address(), node, "--", "python3", "-c", program]);
-    let done = command.output().unwrap();
+    let done = command.output().expect("cotorra starts");
     stdout(&done).trim().to_owned()
 }
 

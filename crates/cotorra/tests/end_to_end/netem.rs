@@ -170,6 +170,32 @@ fn on_the_kernel(folder: &Path, name: &str, more: &str) -> PathBuf {
     file
 }
 
+/// A mapping with a rate of its own slows its packets: HTB does that if the kernel has NetEm, and the fabric otherwise.
+#[test]
+fn a_limited_mapping_slows_its_packets() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::start(&on_the_kernel(folder.path(), "limited", ""), &["--until", "600s"]);
+    let map = |links: Value| {
+        let reservation = json!({ "kept": "limited", "rate_bps": 20_000 });
+        let map = json!({ "instruction": "map", "from": "left", "to": "right", "links": links, "reservation": reservation });
+        run.post("/api/v1/instructions", &json!({ "instruction": map }).to_string())
+    };
+    let (status, body) = map(json!(["left-lan", "lan-right"]));
+    assert_eq!(status, 200, "{body}");
+    let right = cotorra_graph::HostAddress::of(1).ipv4.to_string();
+    // Until the eighth answer comes.
+    let ping = ["ping", "-q", "-c", "8", "-w", "60", "-i", "0.2", "-s", "1400", &right];
+    let done =
+        cotorra(["exec", "--api", run.address(), "left", "--"].into_iter().chain(ping)).output().unwrap();
+    assert!(done.status.success(), "{}{}", stdout(&done), stderr(&done));
+    let text = stdout(&done);
+    let slowest = text.split("min/avg/max/mdev = ").nth(1).unwrap().split('/').nth(2).unwrap();
+    // Each packet takes 577 ms, but the first ones, which find tokens.
+    assert!(slowest.parse::<f64>().unwrap() >= 1_000.0, "{text}");
+    let (status, body) = map(json!([]));
+    assert_eq!(status, 200, "{body}");
+}
+
 /// NetEm or the fabric carries packets in real time. In either case, probes measure the scripted delay, and the verdict
 /// says how much is known.
 #[test]

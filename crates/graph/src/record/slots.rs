@@ -2,7 +2,7 @@
 
 use std::{borrow::Cow, fmt::Display, str::FromStr, time::Duration};
 
-use serde::{Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{Unreadable, json, parse_json, required};
 use crate::{
@@ -11,6 +11,7 @@ use crate::{
     hardware::Direction,
     id::{LinkId, NodeId, SensorId, VnfId},
     nodes::Nodes,
+    reservation::MapReservation,
     service::Vnf,
     units::millis,
 };
@@ -156,6 +157,54 @@ impl<T: Serialize + DeserializeOwned> Slot<T> for Json {
     }
 
     fn take(slots: &Slots<'_>) -> Result<T, Unreadable> {
+        parse_json(required::<_, Unreadable>(slots.change.as_deref())?)
+    }
+}
+
+/// The links of a path, in JSON.
+pub(crate) struct Path;
+
+impl Slot<Vec<LinkId>> for Path {
+    fn put<'a>(value: &'a Vec<LinkId>, slots: &mut Slots<'a>) {
+        Json::put(value, slots);
+    }
+
+    fn take(slots: &Slots<'_>) -> Result<Vec<LinkId>, Unreadable> {
+        Ok(match KeptPath::take(slots)? {
+            KeptPath::Links(links) | KeptPath::Reserved { links, .. } => links,
+        })
+    }
+}
+
+/// A path's own reservation, which is kept with its links. Goes behind [`Path`].
+pub(crate) struct PathReservation;
+
+impl Slot<Option<MapReservation>> for PathReservation {
+    fn put<'a>(value: &'a Option<MapReservation>, slots: &mut Slots<'a>) {
+        if let Some(own) = value {
+            let links = slots.change.take().unwrap_or_default();
+            slots.change = Some(format!(r#"{{"links":{links},"reservation":{}}}"#, json(own)).into());
+        }
+    }
+
+    fn take(slots: &Slots<'_>) -> Result<Option<MapReservation>, Unreadable> {
+        Ok(match KeptPath::take(slots)? {
+            KeptPath::Links(_) => None,
+            KeptPath::Reserved { reservation, .. } => Some(reservation),
+        })
+    }
+}
+
+/// A path with its own reservation is an object. One without has the form of all histories before there were any.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum KeptPath {
+    Links(Vec<LinkId>),
+    Reserved { links: Vec<LinkId>, reservation: MapReservation },
+}
+
+impl KeptPath {
+    fn take(slots: &Slots<'_>) -> Result<Self, Unreadable> {
         parse_json(required::<_, Unreadable>(slots.change.as_deref())?)
     }
 }

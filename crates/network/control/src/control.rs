@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_engine::{Engine, InstanceWaits};
 use cotorra_fabric::{Fabric, PinnedPath};
 use cotorra_graph::{
-    Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement,
-    Position, Reservations, Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
+    Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, MapReservation, NodeId, PathKind,
+    Placement, Position, Reservations, Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -313,7 +313,13 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     }
 
     /// Maps the virtual links between two nodes to a path, or removes the mapping if `links` is empty.
-    fn map(&mut self, from: NodeId, to: NodeId, links: Vec<LinkId>) -> Result<(), InstructionError> {
+    fn map(
+        &mut self,
+        from: NodeId,
+        to: NodeId,
+        links: Vec<LinkId>,
+        own: Option<MapReservation>,
+    ) -> Result<(), InstructionError> {
         if links.is_empty() {
             let removed = self.mappings.remove(&from, &to);
             return if removed {
@@ -325,10 +331,10 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         let path = (from.clone(), to.clone(), links.clone());
         let check = move |fabric: &mut Fabric, _| fabric.check_path(&path.0, &path.1, &path.2);
         let hops = self.network.with(check).map_err(rejected)?.map_err(rejected)?;
-        if self.rate_between(&from, &to).is_none() {
+        if own.and_then(|own| own.rate).is_none() && self.rate_between(&from, &to).is_none() {
             return Err(InstructionError(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
         }
-        let mapping = Mapping::new(from, to, links, hops);
+        let mapping = Mapping::new([from, to], links, hops, own);
         let mut planned = self.mappings.clone();
         planned.insert(mapping.clone());
         self.work_out(&mut planned).map_err(rejected)?;
@@ -384,7 +390,9 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(rejected),
             Instruction::AddVnf { vnf } => self.vim.add(now, &vnf).map_err(rejected),
             Instruction::RemoveVnf { vnf } => self.vim.remove(now, &vnf).map_err(rejected),
-            Instruction::Map { from, to, links } => self.map(from, to, links).map(|()| Vec::new()),
+            Instruction::Map { from, to, links, reservation } => {
+                self.map(from, to, links, reservation).map(|()| Vec::new())
+            }
             Instruction::Condition { link, direction, change } => {
                 let contexts = self.network.change(&link, direction, &change)?;
                 Ok(self.network.complete(now, contexts).into_iter().map(Event::Link).collect())

@@ -4,12 +4,12 @@
 //! reserves the sum of their rates on each link of its path. It keeps the reservation while its path is cut, so that the
 //! path can be used again. If a link has too little capacity for all reservations, the latest mapping loses its own first.
 //! It gets the reservation back once there is capacity. Whether links keep reservations for the packets of a mapping is the
-//! testbed's decision.
+//! testbed's decision. A mapping with a reservation of its own has its own rate, or decides for itself.
 
 use std::{collections::BTreeMap, fmt};
 
 use cotorra_fabric::{Carries, PinnedPath, Reservation};
-use cotorra_graph::{BitRate, Direction, LinkId, NodeId, Reservations};
+use cotorra_graph::{BitRate, Direction, LinkId, MapReservation, NodeId, Reservations};
 
 /// One direction of a link.
 pub(crate) type Hop = (LinkId, Direction);
@@ -21,6 +21,7 @@ pub(crate) struct Mapping {
     pub(crate) to: NodeId,
     pub(crate) links: Vec<LinkId>,
     pub(crate) hops: Vec<Hop>,
+    own: Option<MapReservation>,
     /// Reserved rate, also while it lacks the reservation, bit/s.
     rate_bps: f64,
     state: State,
@@ -55,8 +56,13 @@ impl fmt::Display for Shortage {
 }
 
 impl Mapping {
-    pub(crate) fn new(from: NodeId, to: NodeId, links: Vec<LinkId>, hops: Vec<Hop>) -> Self {
-        Self { from, to, links, hops, rate_bps: 0.0, state: State::Used }
+    pub(crate) fn new(
+        [from, to]: [NodeId; 2],
+        links: Vec<LinkId>,
+        hops: Vec<Hop>,
+        own: Option<MapReservation>,
+    ) -> Self {
+        Self { from, to, links, hops, own, rate_bps: 0.0, state: State::Used }
     }
 
     /// Whether packets take its path now.
@@ -66,7 +72,7 @@ impl Mapping {
 
     /// Returns its path for the fabric, and the rate that links keep for it.
     pub(crate) fn pinned(&self, reservations: Reservations) -> PinnedPath {
-        let is_limited = match reservations {
+        let is_limited = match self.own.map_or(reservations, |own| own.kept) {
             Reservations::Counted => None,
             Reservations::Guaranteed => Some(false),
             Reservations::Limited => Some(true),
@@ -161,7 +167,9 @@ impl Mappings {
         order.sort_by_key(|mapping| mapping.shortage().is_some());
         let mut changes = Vec::new();
         for mapping in order {
-            mapping.rate_bps = rate_bps(&mapping.from, &mapping.to);
+            let own = mapping.own.and_then(|own| own.rate);
+            let own = own.map(|rate| rate.bits_per_second() as f64);
+            mapping.rate_bps = own.unwrap_or_else(|| rate_bps(&mapping.from, &mapping.to));
             let needed_bps = mapping.rate_bps;
             let left_on = |hop: &Hop| left.get(hop).copied().unwrap_or(0.0);
             let short = mapping.hops.iter().find(|hop| left_on(hop) < needed_bps);
@@ -206,7 +214,7 @@ mod tests {
     fn mapping(name: &str, links: &[&str]) -> Mapping {
         let hops: Vec<_> = links.iter().map(|link| hop(link)).collect();
         let links = hops.iter().map(|(link, _)| link.clone()).collect();
-        Mapping::new(name.parse().unwrap(), "z".parse().unwrap(), links, hops)
+        Mapping::new([name, "z"].map(|node| node.parse().unwrap()), links, hops, None)
     }
 
     fn carries(links: &[(&str, f64)]) -> BTreeMap<Hop, Carries> {

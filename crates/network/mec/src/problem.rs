@@ -49,6 +49,11 @@ impl Problem {
         Self { status, detail: detail.into(), header }
     }
 
+    /// Creates the problem of a request that the state of the service does not allow.
+    pub fn forbidden(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::FORBIDDEN, detail)
+    }
+
     /// Creates the problem of an invalid request.
     pub fn bad_request(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, detail)

@@ -318,8 +318,8 @@ pub(super) async fn check(
     Ok(next.run(admit(&gate, &place, request, |_| Ok(())).await?).await)
 }
 
-/// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai` and `/location` a
-/// service is the operator's, and below `/domains/{name}` that domain's. An application acts for itself only.
+/// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai`, `/location` and
+/// `/bwm` a service is the operator's, and below `/domains/{name}` that domain's. An application acts for itself only.
 pub(super) async fn check_mec(
     State(gate): State<Gate>,
     Extension(place): Extension<Arc<Place>>,
@@ -333,7 +333,9 @@ pub(super) async fn check_mec(
                 caller.sees(&domain, |view| view.domain().as_str() == domain)?;
                 caller.acts_for_itself(rest)
             }
-            None if path.starts_with("/wai/") || path.starts_with("/location/") => caller.operator(),
+            None if ["/wai/", "/location/", "/bwm/"].iter().any(|service| path.starts_with(service)) => {
+                caller.operator()
+            }
             None => Ok(()),
         }
     });

@@ -4,6 +4,7 @@
 mod application_tokens;
 mod applications;
 mod auth;
+mod bandwidth;
 mod capture;
 mod clock;
 mod connections;
@@ -324,6 +325,7 @@ impl Server {
         let document = openapi();
         let (mec, mut senders) = mec::serve(&context, gate.clone(), &domains);
         let for_nodes = mec::on_node(mec.clone()).layer(middleware::from_fn(serve::attend));
+        let bandwidth = bandwidth::serve(&context, gate.clone());
         let (lifecycle, more) = applications::serve(&context, gate.clone());
         senders.extend(more);
         let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
@@ -342,6 +344,7 @@ impl Server {
             .with_state(context)
             .merge(mec)
             .merge(lifecycle)
+            .merge(bandwidth)
             .layer(middleware::from_fn(serve::attend));
         let thread = std::thread::Builder::new()
             .name("api".to_owned())

@@ -566,6 +566,7 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
         ("/location/v2/queries/zones", [200, 403, 403]),
         ("/domains/one/location/v2/queries/users", [200, 200, 403]),
         ("/domains/two/location/v2/queries/zones", [200, 403, 200]),
+        ("/bwm/v1/bw_allocations", [200, 403, 403]),
     ] {
         assert_eq!(
             [OPERATOR, ONE, TWO].map(|token| served.ask(token, &format!("GET {path}"), "").0),
@@ -745,6 +746,32 @@ fn the_location_api_answers_and_rejects_as_its_standard_says() {
         ("GET /subscriptions/users/1", "", 404, "no subscription `1`"),
     ] {
         let (status, mut rest) = served.ask(OPERATOR, &request.replacen(' ', " /location/v2", 1), body);
+        let mut answer = String::new();
+        rest.read_to_string(&mut answer).unwrap();
+        assert_eq!(status, expected, "{request}: {answer}");
+        assert!(answer.contains(part), "{request}: {answer}");
+    }
+}
+
+#[test]
+fn bandwidth_management_rejects_as_its_standard_says() {
+    let served = Domains::serve();
+    let info = json!({ "appInsId": "nobody", "requestType": 0, "fixedAllocation": "1", "allocationDirection": "00" });
+    let with_priority = json!({ "fixedBWPriority": "SEE_DESCRIPTION", "appInsId": "nobody", "requestType": 0,
+        "fixedAllocation": "1", "allocationDirection": "00" });
+    for (request, body, expected, part) in [
+        ("GET /bw_allocations", "", 200, "[]"),
+        ("GET /bw_allocations?name=x", "", 400, "there are app_instance_id, app_name, session_id"),
+        ("GET /bw_allocations/1", "", 404, "no allocation `1`"),
+        ("DELETE /bw_allocations/1", "", 404, "no allocation `1`"),
+        ("POST /bw_allocations", "{}", 400, "appInsId"),
+        ("POST /bw_allocations", &info.to_string(), 400, "no application `nobody`"),
+        ("POST /bw_allocations", &with_priority.to_string(), 422, "not priorities"),
+        ("PUT /bw_allocations/1", &info.to_string(), 404, "no allocation `1`"),
+        ("PATCH /bw_allocations/1", &info.to_string(), 404, "no allocation `1`"),
+        ("GET /allocations", "", 404, "no such path"),
+    ] {
+        let (status, mut rest) = served.ask(OPERATOR, &request.replacen(' ', " /bwm/v1", 1), body);
         let mut answer = String::new();
         rest.read_to_string(&mut answer).unwrap();
         assert_eq!(status, expected, "{request}: {answer}");

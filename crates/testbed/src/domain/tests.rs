@@ -228,7 +228,12 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
             Instruction::Deploy { radio_unit: id(radio_unit), access_point: deployed },
             Instruction::Remove { radio_unit: id(radio_unit) },
             Instruction::Place { vnf: id(&format!("nav{n}")), node: id::<NodeId>(&format!("s{n}")).into() },
-            Instruction::Map { from: robot(), to: id(&format!("s{n}")), links: vec![id(link)] },
+            Instruction::Map {
+                from: robot(),
+                to: id(&format!("s{n}")),
+                links: vec![id(link)],
+                reservation: None,
+            },
             Instruction::Condition { link: id(link), direction: None, change: ConditionChange::default() },
         ]
     };
@@ -263,8 +268,13 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         Instruction::Condition { link: id("r1~B"), direction: None, change: ConditionChange::default() },
         Instruction::Place { vnf: id("nav1"), node: id::<NodeId>("s2").into() },
         Instruction::Place { vnf: id("nav1"), node: Nodes::new(vec![id("s1"), id("s2")]).unwrap() },
-        Instruction::Map { from: id("r1"), to: id("s2"), links: Vec::new() },
-        Instruction::Map { from: id("r1"), to: id("s1"), links: vec![id("r1~A"), id("A-B")] },
+        Instruction::Map { from: id("r1"), to: id("s2"), links: Vec::new(), reservation: None },
+        Instruction::Map {
+            from: id("r1"),
+            to: id("s1"),
+            links: vec![id("r1~A"), id("A-B")],
+            reservation: None,
+        },
     ] {
         one.check(&instruction, |_| None).unwrap_err();
     }

@@ -683,7 +683,8 @@ mod tests {
             PluginHost::new([], Duration::from_secs(1)).with_domains(std::slice::from_ref(&domain));
         let link = |n: usize| format!("{n:03}{}", "l".repeat(120)).parse().unwrap();
         let (from, to) = ("a".parse().unwrap(), "b".parse().unwrap());
-        let longest = Instruction::Map { from, to, links: (0..Instruction::MOST_LINKS).map(link).collect() };
+        let links = (0..Instruction::MOST_LINKS).map(link).collect();
+        let longest = Instruction::Map { from, to, links, reservation: None };
         let (bytes, seconds) = (longest.measure().unwrap(), 60);
         let mut testbed = Obedient::default();
         for second in 0..seconds {
@@ -701,9 +702,9 @@ mod tests {
             host.instruct(now, Given { plugin: "api".parse().unwrap(), instruction, reason }, &mut testbed)
         };
         give(longest.clone(), None).unwrap();
-        let Instruction::Map { from, to, mut links } = longest else { unreachable!() };
+        let Instruction::Map { from, to, mut links, reservation } = longest else { unreachable!() };
         links.push(link(0));
-        let refused = give(Instruction::Map { from, to, links }, None).unwrap_err();
+        let refused = give(Instruction::Map { from, to, links, reservation }, None).unwrap_err();
         assert_eq!(refused.0, "its `links` has 257 items: at most 256 are taken");
     }
 

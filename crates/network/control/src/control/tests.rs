@@ -1,6 +1,6 @@
 use std::path::Path as FilePath;
 
-use cotorra_graph::{ConditionChange, Image, Loss, Probability, Program, Vnf};
+use cotorra_graph::{BitRate, ConditionChange, Image, Loss, Probability, Program, Vnf};
 use cotorra_graph_testing as base;
 
 use super::*;
@@ -73,8 +73,19 @@ impl Lab {
 
     /// Maps a path. `links` are separated by spaces.
     fn map(&mut self, from: &str, to: &str, links: &str) -> Result<Reported, String> {
+        self.reserve(from, to, links, None)
+    }
+
+    /// Maps a path with a reservation of its own.
+    fn reserve(
+        &mut self,
+        from: &str,
+        to: &str,
+        links: &str,
+        reservation: Option<MapReservation>,
+    ) -> Result<Reported, String> {
         let links = links.split_whitespace().map(|link| link.parse().unwrap()).collect();
-        self.instruct(&Instruction::Map { from: node(from), to: node(to), links })
+        self.instruct(&Instruction::Map { from: node(from), to: node(to), links, reservation })
     }
 
     fn change(&mut self, link: &str, change: ConditionChange) -> Reported {
@@ -182,6 +193,29 @@ fn links_keep_the_reservations_that_the_testbed_wants_kept() {
         // Nothing is reserved for nodes without a virtual link.
         lab.place("r-brain", "two");
         assert_eq!(kept(&lab), []);
+    }
+}
+
+#[test]
+fn a_mapping_decides_on_its_own_reservation() {
+    let own = |kept, mbps: Option<f64>| {
+        Some(MapReservation { kept, rate: mbps.map(|mbps| BitRate::from_mbps(mbps).unwrap()) })
+    };
+    for testbed in [Reservations::Counted, Reservations::Guaranteed] {
+        let mut lab = Lab::with(testbed);
+        lab.reserve("r", "one", WIDE, own(Reservations::Limited, None)).unwrap();
+        assert_eq!(kept(&lab), [("r one".to_owned(), 3.0, true)]);
+        lab.reserve("r", "one", WIDE, own(Reservations::Guaranteed, Some(1.0))).unwrap();
+        assert_eq!(kept(&lab), [("r one".to_owned(), 1.0, false)]);
+        lab.reserve("r", "one", WIDE, own(Reservations::Counted, Some(4.0))).unwrap();
+        assert_eq!(kept(&lab), []);
+        assert_eq!(lab.reserved()[0], "U-wide Forward 4");
+        // A rate of its own needs no virtual link, but room.
+        lab.map("r", "one", "").unwrap();
+        lab.reserve("r", "two", "r~U U-fast fast-two", own(Reservations::Limited, Some(2.0))).unwrap();
+        assert_eq!(kept(&lab), [("r two".to_owned(), 2.0, true)]);
+        let refused = lab.reserve("r", "one", WIDE, own(Reservations::Limited, Some(6.0))).unwrap_err();
+        assert!(refused.contains("6 Mbit/s are needed"), "{refused}");
     }
 }
 

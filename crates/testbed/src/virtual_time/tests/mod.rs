@@ -701,6 +701,7 @@ fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
         from: from.parse().unwrap(),
         to: to.parse().unwrap(),
         links: links.iter().map(|link| link.parse().unwrap()).collect(),
+        reservation: None,
     };
     let there = map("robot", "edge", &["robot~unit", "unit-wide", "edge-wide"]);
     let back = map("edge", "robot", &["edge-wide", "unit-wide", "robot~unit"]);

@@ -1,5 +1,7 @@
 //! Links that keep the reservations of mappings.
 
+use cotorra_bandwidth::{Bandwidth, Change, Survey, types::BwInfo};
+
 use super::*;
 
 /// A robot is navigated over a wire of 10 Mbit/s that another host fills.
@@ -36,7 +38,8 @@ fn measured(reservations: &str) -> (Vec<Duration>, f64) {
     let testbed = cotorra_testbed_file::parse("test.yaml", &text, Path::new("")).unwrap();
     let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
     let links = ["robot~unit", "lan-unit", "lan-cloud"].map(|link| link.parse().unwrap()).to_vec();
-    let map = Instruction::Map { from: "robot".parse().unwrap(), to: "cloud".parse().unwrap(), links };
+    let [from, to] = ["robot", "cloud"].map(|node| node.parse().unwrap());
+    let map = Instruction::Map { from, to, links, reservation: None };
     simulation.instruct(Given::new("test".parse().unwrap(), map)).unwrap();
     let mut took = Vec::new();
     while simulation.step().as_secs_f64() < 20.0 {
@@ -50,6 +53,60 @@ fn measured(reservations: &str) -> (Vec<Duration>, f64) {
     }
     took.sort_unstable();
     (took, simulation.traffic()[0].goodput_bps / 1e6)
+}
+
+/// Returns the goodput of the other host over 10 s, Mbit/s, from a second on: what waited before a change leaves as it was.
+fn goodput(simulation: &mut Simulation) -> f64 {
+    let mut step_to = |seconds: f64| {
+        let until = simulation.now().as_secs_f64() + seconds;
+        while simulation.step().as_secs_f64() < until {}
+        simulation.traffic()[0].bytes
+    };
+    let [start, end] = [1.0, 10.0].map(&mut step_to);
+    (end - start) as f64 * 8e-6 / 10.0
+}
+
+#[test]
+fn an_allocation_of_bandwidth_shapes_the_traffic_of_its_session() {
+    let testbed = cotorra_testbed_file::parse("test.yaml", FILLED, Path::new("")).unwrap();
+    let testbed = Arc::new(testbed);
+    let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
+    let mut service = Bandwidth::new(Arc::clone(&testbed));
+    let nodes = ["fog", "cloud"].map(|node| node.parse::<NodeId>().unwrap());
+    let [source, target] = nodes.each_ref().map(|node| testbed.graph.address(node).unwrap().ipv4);
+    let survey = Survey {
+        nodes: [("navigation".parse().unwrap(), vec![nodes[1].clone()])].into(),
+        ..Survey::default()
+    };
+    let info = |rate: &str| -> BwInfo {
+        serde_json::from_value(serde_json::json!({
+            "appInsId": "navigation", "requestType": 1, "fixedAllocation": rate, "allocationDirection": "01",
+            "sessionFilter": [{ "sourceIp": source, "dstAddress": target }],
+        }))
+        .unwrap()
+    };
+    let give = |simulation: &mut Simulation, change: &Change| {
+        for instruction in change.instructions() {
+            simulation.instruct(Given::new("test".parse().unwrap(), instruction)).unwrap();
+        }
+    };
+    let mut rates = vec![goodput(&mut simulation)];
+    let change = service.create(&survey, info("3000000")).unwrap();
+    give(&mut simulation, &change);
+    let resource = service.commit("", change).unwrap();
+    rates.push(goodput(&mut simulation));
+    let change = service.replace(&survey, "1", Some(&resource.etag), info("5000000")).unwrap();
+    give(&mut simulation, &change);
+    service.commit("", change);
+    rates.push(goodput(&mut simulation));
+    let change = service.remove("1", None).unwrap();
+    give(&mut simulation, &change);
+    rates.push(goodput(&mut simulation));
+    println!("goodput without, with 3 and 5 Mbit/s, and without: {rates:.2?} Mbit/s");
+    // Headers of packets count for the link, not for the goodput.
+    for (rate, expected) in rates.iter().zip([9.72, 2.92, 4.86, 9.72]) {
+        assert!((rate / expected - 1.0).abs() < 0.03, "{rates:?}");
+    }
 }
 
 #[test]
