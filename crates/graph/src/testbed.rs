@@ -46,8 +46,8 @@ pub struct Testbed {
     pub seed: u64,
     /// Its WLAN Access Information Service.
     pub wais: WaisSettings,
-    /// Server on which the platform of ETSI MEC stands for applications on nodes; `None` if they do not reach it.
-    pub mec: Option<NodeId>,
+    /// Emulated server on which the core stands, for plug-ins and applications on nodes; `None` if they do not reach it there.
+    pub core: Option<NodeId>,
     /// Emulator of wired links in real time.
     pub emulation: Emulation,
     /// Scripted conditions of its links.

@@ -343,7 +343,7 @@ impl Client {
             walks,
             plugins,
             wais,
-            mec: None,
+            core: None,
             seed,
             emulation,
             script: Default::default(),

@@ -76,14 +76,11 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let containers = builder.containers();
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let traffic: Option<Vec<_>> = each(&record.traffic.0, |(id, traffic)| builder.traffic(id, traffic));
-    let plugins = builder.plugins();
+    let core = builder.core();
+    let plugins = builder.plugins(core.as_ref().and_then(Option::as_ref));
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
     let border = builder.border();
-    let mec = match &record.mec {
-        Some(mec) => builder.emulated_server(&mec.node).map(Some),
-        None => Some(None),
-    };
     let without_port_security = builder.without_port_security();
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
@@ -95,7 +92,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         walks: walks?,
         plugins: plugins?,
         wais: wais?,
-        mec: mec?,
+        core: core?,
         seed: record.seed,
         emulation: record.emulation,
         script: script?,

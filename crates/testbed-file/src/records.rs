@@ -58,8 +58,6 @@ record! {
         core: CoreRecord = {},
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
-        /// Where applications on nodes reach the services of ETSI MEC: docs/use/mec.md.
-        mec: Option<MecRecord>,
         /// Replayed conditions of links, in place of those at the links.
         conditions: ReplayRecord = {},
         /// Changes of links over time, or where a robot is.
@@ -1441,10 +1439,11 @@ record! {
 }
 
 record! {
-    /// Place of the core: docs/use/old-context.md.
+    /// Place of the core in the emulated network.
     CoreRecord {
-        /// Server or robot from which contexts of plug-ins with a `node` set off. Without one, the core is beside its
-        /// plug-ins.
+        /// Emulated server on which it stands. Plug-ins with a `node` are that far away (docs/use/old-context.md), and
+        /// applications on nodes reach the services of ETSI MEC there (docs/use/mec.md). Without one, the core is beside
+        /// its plug-ins, and applications do not reach it.
         node: Option<Spanned<NodeId>>,
     }
 }
@@ -1488,14 +1487,6 @@ record! {
         callbacks: Vec<IpNetwork> = [],
         /// Place of the map's origin on Earth. Without it, no locations are exposed.
         origin: Option<OriginRecord>,
-    }
-}
-
-record! {
-    /// The platform of ETSI MEC.
-    MecRecord {
-        /// Server on which the platform stands. Applications reach it over the emulated network.
-        node: Spanned<NodeId>,
     }
 }
 

@@ -146,7 +146,7 @@ pub fn testbed(graph: HardwareGraph) -> Testbed {
         plugins: Vec::new(),
         seed: 1,
         wais: Default::default(),
-        mec: None,
+        core: None,
         emulation: Default::default(),
         script: Default::default(),
         probes: None,

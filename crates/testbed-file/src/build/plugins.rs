@@ -21,8 +21,8 @@ pub const SCHEDULE: &str = "schedule";
 pub const COMMAND_LINE: &str = "command-line";
 
 impl Builder<'_> {
-    pub(super) fn plugins(&mut self) -> Option<Vec<PluginSpec>> {
-        let core = self.core()?;
+    /// The plug-ins. Those with a node need that of the core.
+    pub(super) fn plugins(&mut self, core: Option<&NodeId>) -> Option<Vec<PluginSpec>> {
         let mut seen = HashSet::new();
         let plugins: Vec<Option<PluginSpec>> = each(&self.record.plugins, |entry| {
             let plugin = match &entry.value {
@@ -40,7 +40,7 @@ impl Builder<'_> {
                         settings: serde_json::Map::new(),
                     }
                 }
-                Either::Long(record) => self.plugin(&entry.span, record, core.as_ref())?,
+                Either::Long(record) => self.plugin(&entry.span, record, core)?,
             };
             if [SCHEDULE, COMMAND_LINE].contains(&plugin.id.as_str()) {
                 self.sink
@@ -108,16 +108,11 @@ impl Builder<'_> {
     }
 
     /// The core's node, or `None` if it has none; nothing if it is wrong.
-    fn core(&mut self) -> Option<Option<NodeId>> {
-        let Some(node) = &self.record.core.node else { return Some(None) };
-        self.place_of_control(node).map(Some)
-    }
-
-    /// A node that the core or a plug-in can run on.
-    fn place_of_control(&mut self, node: &Spanned<NodeId>) -> Option<NodeId> {
-        self.node_where(node, "server or robot", |node| {
-            matches!(node, NodeRecord::Server(_) | NodeRecord::Robot(_))
-        })
+    pub(super) fn core(&mut self) -> Option<Option<NodeId>> {
+        match &self.record.core.node {
+            Some(node) => self.emulated_server(node).map(Some),
+            None => Some(None),
+        }
     }
 
     fn way(&mut self, record: &PluginRecord, core: Option<&NodeId>) -> Option<Way> {
@@ -132,11 +127,13 @@ impl Builder<'_> {
                 None
             }
             (Some(node), None) => {
-                let plugin = self.place_of_control(node);
+                let is_host =
+                    |node: &NodeRecord| matches!(node, NodeRecord::Server(_) | NodeRecord::Robot(_));
+                let plugin = self.node_where(node, "server or robot", is_host);
                 let Some(core) = core else {
                     self.sink
                         .error(&node.span, "contexts come from the core, which has no node")
-                        .help("add `core: { node: edge }`, with the server or robot that the core is on");
+                        .help("add `core: { node: edge }`, with the emulated server that the core is on");
                     return None;
                 };
                 let plugin = plugin?;

@@ -46,7 +46,7 @@ impl Applications {
             service.vnfs.iter().filter_map(move |vnf| Some((vnf.id.clone(), domain?.clone())))
         });
         let of_services = of_services.collect();
-        let platform = testbed.mec.as_ref().and_then(|node| {
+        let platform = testbed.core.as_ref().and_then(|node| {
             let address = graph.address(node)?.ipv4;
             let address = SocketAddrV4::new(address, PORT);
             Some(Platform { node: node.clone(), address, of_services, of_nodes, tokens: Mutex::default() })
@@ -120,7 +120,7 @@ services:
 
     #[test]
     fn each_application_has_a_token_of_its_own_for_its_domain() {
-        let applications = applications("mec: { node: edge }\n");
+        let applications = applications("core: { node: edge }\n");
         let edge = NodeId::new("edge").unwrap();
         let ask = |vnf: &str| applications.environment(&VnfId::new(vnf).unwrap(), &edge).unwrap();
         let [planner, added] = ["planner", "added"].map(ask);

@@ -5,7 +5,7 @@ use cotorra_graph::{Event, NodeId, Placement, Stamped, Timestamp, VnfId};
 use super::*;
 
 const SERVICES: &str = "
-mec: { node: left }
+core: { node: left }
 services:
   watch:
     robot: robot
