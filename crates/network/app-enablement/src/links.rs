@@ -1,5 +1,7 @@
 //! Paths and lists of subscriptions that belong to an application.
 
+use std::sync::Arc;
+
 use cotorra_mec::{InvalidRequest, Subscribed, Subscriptions};
 use serde_json::{Value, json};
 
@@ -44,6 +46,8 @@ pub(crate) fn base_of<'a>(href: &'a str, list: &str) -> &'a str {
 }
 
 /// Returns the notification that tests whether notifications arrive.
-pub(crate) fn test(href: &str) -> Value {
-    json!({ "notificationType": "TestNotification", "_links": { "subscription": { "href": href } } })
+pub(crate) fn test(href: &str) -> Arc<str> {
+    let notification =
+        json!({ "notificationType": "TestNotification", "_links": { "subscription": { "href": href } } });
+    notification.to_string().into()
 }

@@ -6,7 +6,7 @@ use std::{borrow::Cow, sync::Arc};
 use cotorra_graph::Timestamp;
 use cotorra_mec::{
     Dispatch, Epoch, InvalidRequest, LinkType, Machine, Notifying, RequestError, Subscribed, Subscriptions,
-    Target, TimeStamp,
+    Target,
 };
 use serde_json::json;
 
@@ -210,10 +210,6 @@ impl Subscribed for Subscription {
 
     fn test(href: &str) -> Arc<str> {
         json!({ "notificationType": "TestNotification", "_links": links(href) }).to_string().into()
-    }
-
-    fn expiry(_: &str, _: TimeStamp) -> Option<Arc<str>> {
-        None
     }
 }
 

@@ -81,14 +81,18 @@ pub trait Subscribed: Clone + Debug + Serialize + Send + Sync + 'static {
     /// [`InvalidRequest`].
     fn check(&self) -> Result<(), InvalidRequest>;
 
-    /// Returns when a notification may be due even if nothing changes.
-    fn deadline(schedule: &Self::Schedule) -> Option<Timestamp>;
+    /// Returns when a notification may be due even if nothing changes; by default, never.
+    fn deadline(_schedule: &Self::Schedule) -> Option<Timestamp> {
+        None
+    }
 
     /// Returns the notification that tests whether notifications arrive.
     fn test(href: &str) -> Arc<str>;
 
-    /// Returns the notification of a subscription that is about to expire; `None` if the standard has none.
-    fn expiry(href: &str, at: TimeStamp) -> Option<Arc<str>>;
+    /// Returns the notification of a subscription that is about to expire; by default `None`, for standards without one.
+    fn expiry(_href: &str, _at: TimeStamp) -> Option<Arc<str>> {
+        None
+    }
 }
 
 #[derive(Debug)]

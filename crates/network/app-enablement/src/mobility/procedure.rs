@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{NodeId, Nodes, Timestamp, VnfId};
+use cotorra_graph::{NodeId, Nodes, VnfId};
 use cotorra_mec::{InvalidRequest, Notifying, Subscribed, TimeStamp};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -191,12 +191,8 @@ impl Subscribed for MobilitySubscription {
         Ok(())
     }
 
-    fn deadline(_: &Schedule) -> Option<Timestamp> {
-        None
-    }
-
     fn test(href: &str) -> Arc<str> {
-        test(href).to_string().into()
+        test(href)
     }
 
     fn expiry(href: &str, at: TimeStamp) -> Option<Arc<str>> {

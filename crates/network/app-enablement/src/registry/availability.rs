@@ -6,8 +6,7 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::Timestamp;
-use cotorra_mec::{InvalidRequest, Notifying, Subscribed, TimeStamp};
+use cotorra_mec::{InvalidRequest, Notifying, Subscribed};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -190,15 +189,7 @@ impl Subscribed for AvailabilitySubscription {
         Ok(())
     }
 
-    fn deadline(_: &Schedule) -> Option<Timestamp> {
-        None
-    }
-
     fn test(href: &str) -> Arc<str> {
-        test(href).to_string().into()
-    }
-
-    fn expiry(_: &str, _: TimeStamp) -> Option<Arc<str>> {
-        None
+        test(href)
     }
 }

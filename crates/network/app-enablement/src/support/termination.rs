@@ -2,8 +2,7 @@
 
 use std::{borrow::Cow, sync::Arc};
 
-use cotorra_graph::Timestamp;
-use cotorra_mec::{InvalidRequest, Notifying, Subscribed, TimeStamp};
+use cotorra_mec::{InvalidRequest, Notifying, Subscribed};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -88,15 +87,7 @@ impl Subscribed for TerminationSubscription {
         Ok(())
     }
 
-    fn deadline(_: &Schedule) -> Option<Timestamp> {
-        None
-    }
-
     fn test(href: &str) -> Arc<str> {
-        test(href).to_string().into()
-    }
-
-    fn expiry(_: &str, _: TimeStamp) -> Option<Arc<str>> {
-        None
+        test(href)
     }
 }
