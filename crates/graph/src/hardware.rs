@@ -18,7 +18,7 @@ use crate::{
     queue::QueueLimit,
     real_machine::{Gateway, Machine, RealRadio, RealServer},
     sensor::Sensor,
-    units::{BitRate, Dbm, Position, millis},
+    units::{BitRate, Dbm, Position, is_zero, millis},
     walls::Walls,
     wifi_software::RadioKind,
 };
@@ -367,8 +367,14 @@ pub struct Server {
     pub tier: Tier,
     /// Capacity for VNFs.
     pub capacity: Capacity,
-    /// Price of a CPU, in the file's own currency.
+    /// Price of a CPU for an hour, in the testbed's currency.
     pub cost: f64,
+    /// Price of a GB of memory for an hour, in the testbed's currency.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub memory_cost: f64,
+    /// Price of each instance of a VNF that comes to it after the start, in the testbed's currency.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub migration_cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
     /// The real machine that it is; `None` for an emulated one.
@@ -409,6 +415,9 @@ pub struct Link {
     #[serde(rename = "medium_delay_ms", with = "millis", default)]
     #[schema(value_type = f64)]
     pub medium_delay: Duration,
+    /// Price of a GB that crosses it, in either direction, in the testbed's currency.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
 }

@@ -183,7 +183,15 @@ mod tests {
         let capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
         node(
             place,
-            NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0, real }),
+            NodeKind::Server(Server {
+                tier: Tier::Edge,
+                capacity,
+                cost: 1.0,
+                memory_cost: 0.0,
+                migration_cost: 0.0,
+                reliability: 1.0,
+                real,
+            }),
         )
     }
 

@@ -30,6 +30,8 @@ pub struct Testbed {
     pub name: String,
     /// One sentence on it; may be empty.
     pub description: String,
+    /// Currency of its prices, such as `EUR`; `None` without a bill.
+    pub currency: Option<String>,
     /// Absolute folder of the file, from which relative paths in it start; empty if unknown.
     pub folder: PathBuf,
     /// G.

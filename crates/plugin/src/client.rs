@@ -321,7 +321,7 @@ impl Client {
         Self { plugin: Some(plugin), ..self }
     }
 
-    /// The testbed, without its map, its emulation, the settings of its WAIS, its history's retention and its border, which
+    /// The testbed, without its currency, its map, its emulation, the settings of its WAIS, its history's retention and its border, which
     /// the API does not give with it. Walls of its wireless networks have the map.
     ///
     /// # Errors
@@ -336,6 +336,7 @@ impl Client {
         Ok(Testbed {
             name,
             description,
+            currency: None,
             folder: Default::default(),
             graph,
             services,

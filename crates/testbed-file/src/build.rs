@@ -77,6 +77,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let traffic: Option<Vec<_>> = each(&record.traffic.0, |(id, traffic)| builder.traffic(id, traffic));
     let core = builder.core();
+    let currency = builder.currency();
     let plugins = builder.plugins(core.as_ref().and_then(Option::as_ref));
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
@@ -104,6 +105,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         reservations: record.reservations,
         containers: containers?,
         description: record.description.clone(),
+        currency: currency?,
         // Only a working folder that does not exist any more has no absolute path.
         folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),
         name: record.name.value.clone(),

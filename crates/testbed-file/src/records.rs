@@ -27,6 +27,8 @@ record! {
         name: Spanned<String>,
         /// One sentence on it.
         description: String = "",
+        /// Currency of all prices, such as `EUR`. With it, the report has a bill: docs/use/bill.md.
+        currency: Option<Spanned<String>>,
         /// Seed of everything random; a run with the same seed is the same run.
         seed: u64 = 1,
         /// Emulator of the links in real time.
@@ -978,8 +980,12 @@ record! {
         cpus: Amount,
         /// Memory for VNFs.
         memory: Bytes,
-        /// Price of a CPU, in a currency of your own.
+        /// Price of a CPU for an hour, in the file's `currency`.
         cost: Amount = 1,
+        /// Price of a GB of memory for an hour, in the file's `currency`.
+        memory_cost: Amount = 0,
+        /// Price of each instance of a VNF that comes to it after the start, in the file's `currency`.
+        migration_cost: Amount = 0,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
         /// The agent that starts VNFs on the real machine.
@@ -1049,6 +1055,8 @@ record! {
         /// Between real machines: how long the medium itself takes, one way, before anything is emulated on it. Without it:
         /// what a run measures, if there is a `reflector`, or none.
         medium_delay: Option<Spanned<Duration>>,
+        /// Price of a GB that crosses it, in either direction, in the file's `currency`.
+        cost: Amount = 0,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
         /// Differing conditions from the first end to the second.

@@ -56,11 +56,11 @@ pub use real::{
     run::Run,
 };
 pub use report::{
-    DataTable, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged, Kept,
-    LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles, RegionSummary, Report,
-    RobotSummary, ServiceKpis, ServiceParts, ServiceSummary, Summary, Verdict, Void, WORST_ROBOTS,
-    by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file,
-    write_samples,
+    Bill, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged,
+    Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles,
+    RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis, ServiceParts, ServiceSummary,
+    Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels, robots_by_name,
+    sampled_services, service_time_ms, write_file, write_samples,
 };
 pub use virtual_time::{
     Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,

@@ -426,6 +426,8 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         tier: Tier::Fog,
         capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
         cost: 0.0,
+        memory_cost: 0.0,
+        migration_cost: 0.0,
         reliability: 1.0,
         real: None,
     });
@@ -437,6 +439,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         scales: Default::default(),
         medium: BitRate::from_bits_per_second(100_000_000_000).expect("above zero"),
         medium_delay: Duration::ZERO,
+        cost: 0.0,
         reliability: 1.0,
     };
     let mut nodes: Vec<Node> = (0..hosts).map(|i| node(server_name(i), server.clone())).collect();

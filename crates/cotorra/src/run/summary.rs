@@ -180,6 +180,9 @@ fn figures(summary: &Summary, several: bool) -> Table {
     for traffic in &summary.traffic {
         table.row([format!("traffic {}", traffic.source), traffic.sentence()]);
     }
+    if let Some(bill) = &summary.bill {
+        table.row(["bill".to_owned(), bill.sentence()]);
+    }
     for plugin in &summary.plugins {
         table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);
     }

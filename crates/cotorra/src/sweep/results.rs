@@ -60,6 +60,7 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     text += &doubts(runs);
     text += &services(runs, &cells);
     text += &sources(runs, &cells);
+    text += &bill(runs, &cells);
     text += &differences(runs);
     if void > 0 {
         text += &format!("\n{}\n", words::logs());
@@ -129,6 +130,24 @@ fn sources(runs: &Runs, cells: &[Cell]) -> String {
     match rows().count() {
         0 => String::new(),
         all if all > LISTED => format!("{table}  and {} more in traffic.csv\n", all - LISTED),
+        _ => table,
+    }
+}
+
+/// Returns the table of prices; empty if there is no currency.
+fn bill(runs: &Runs, cells: &[Cell]) -> String {
+    let mut table = Table::new(&("<".repeat(runs.axes.len() + 1) + "><"));
+    let heads = ["price of", "per hour", ""].map(str::to_owned);
+    table.row(runs.axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
+    let rows = || cells.iter().flat_map(|cell| cell.bill.iter().map(move |its| (&cell.values, its)));
+    for (values, its) in rows().take(LISTED) {
+        let price = [its.of.clone(), its.per_hour.times(1.0), its.currency.clone()];
+        table.row(values.iter().cloned().chain(price));
+    }
+    let table = format!("\n{}", table.render("  "));
+    match rows().count() {
+        0 => String::new(),
+        all if all > LISTED => format!("{table}  and {} more in bill.csv\n", all - LISTED),
         _ => table,
     }
 }

@@ -8,6 +8,7 @@ use cotorra_testbed::{Verdict, Void};
 use serde::Serialize;
 
 use super::{
+    bill::Price,
     column::{self, Column, service_time, total},
     measured::{Measured, MeasuredService},
 };
@@ -44,6 +45,8 @@ pub struct Cell {
     pub services: Vec<ServiceCell>,
     /// The runs' goodputs of each source of traffic, bit/s.
     pub goodput_bps: Vec<(TrafficId, Interval)>,
+    /// The runs' prices, if the testbed file has a currency.
+    pub bill: Vec<PriceCell>,
 }
 
 /// Numbers of verdicts.
@@ -53,6 +56,19 @@ pub struct Verdicts {
     pub judged_runs: usize,
     /// Number of them that failed.
     pub failed_runs: usize,
+}
+
+/// A price over the runs of a combination.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PriceCell {
+    /// What costs it.
+    pub of: String,
+    /// The currency.
+    pub currency: String,
+    /// The runs' prices.
+    pub price: Interval,
+    /// The runs' prices for each of their hours.
+    pub per_hour: Interval,
 }
 
 /// Statistics of a robot's service over the runs of a combination.
@@ -169,6 +185,7 @@ impl Cell {
             verdicts: Verdicts::of(runs.iter().map(|run| run.verdict())),
             services: ServiceCell::all(&runs),
             goodput_bps: goodputs(&runs),
+            bill: PriceCell::all(&runs),
         }
     }
 
@@ -233,6 +250,27 @@ impl ServiceCell {
             column::above_target(self.above_target),
             total(Total::Unanswered, self.unanswered),
         ]
+    }
+}
+
+impl PriceCell {
+    /// Returns the prices over runs, in the order in which they first stand.
+    fn all(runs: &[&Measured]) -> Vec<Self> {
+        let mut all: Vec<Vec<&Price>> = Vec::new();
+        for price in runs.iter().flat_map(|run| &run.bill) {
+            let is_same = |its: &Price| (&its.of, &its.currency) == (&price.of, &price.currency);
+            match all.iter_mut().find(|same| is_same(same[0])) {
+                Some(same) => same.push(price),
+                None => all.push(vec![price]),
+            }
+        }
+        let cell = |same: &Vec<&Price>| {
+            let over =
+                |of: fn(&Price) -> f64| Interval::of(&same.iter().map(|its| of(its)).collect::<Vec<_>>());
+            let (of, currency) = (same[0].of.clone(), same[0].currency.clone());
+            Some(Self { of, currency, price: over(|its| its.price)?, per_hour: over(|its| its.per_hour)? })
+        };
+        all.iter().filter_map(cell).collect()
     }
 }
 
@@ -387,6 +425,7 @@ mod tests {
         time_parts: Vec::new(),
         losses: Vec::new(),
         goodput_bps: Vec::new(),
+        bill: Vec::new(),
         regions: Vec::new(),
     };
 }

@@ -92,7 +92,8 @@ impl Compared {
             let is_share = bound.figure().unit == Unit::Share;
             Some(of(format!("{}: {bound}", its.service), is_share, judged.value))
         });
-        figures.into_iter().chain(bounds).collect()
+        let bill = run.bill.iter().map(|its| of(format!("price of {}", its.of), false, Some(its.price)));
+        figures.into_iter().chain(bounds).chain(bill).collect()
     }
 }
 

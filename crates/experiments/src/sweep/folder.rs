@@ -27,10 +27,12 @@ pub const FILES: [&str; 10] = [
 const KPIS: &str = "kpis.csv";
 /// A row per source of traffic of a run, with its goodput, where there are sources.
 const TRAFFIC: &str = "traffic.csv";
+/// A row per price of a run, where the testbed file has a currency.
+const BILL: &str = "bill.csv";
 
 impl Runs {
-    /// Writes [`FILES`] into the folder of a journal, `kpis.csv` where services have KPIs beside their targets, and
-    /// `traffic.csv` where there are sources of traffic. Of the samples there, only those of these runs stay.
+    /// Writes [`FILES`] into the folder of a journal, `kpis.csv` where services have KPIs beside their targets,
+    /// `traffic.csv` where there are sources of traffic, and `bill.csv` where there is a currency. Of the samples there, only those of these runs stay.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -62,6 +64,9 @@ impl Runs {
         }
         if let Some(of_traffic) = tables::traffic(self) {
             csv(TRAFFIC, of_traffic)?;
+        }
+        if let Some(of_bill) = tables::bill(self) {
+            csv(BILL, of_bill)?;
         }
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         let measured = self.done.iter().filter(|done| done.outcome.measured().is_some());

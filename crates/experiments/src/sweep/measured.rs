@@ -5,6 +5,7 @@ use cotorra_testbed::{Judged, Kept, Quantiles, RegionSummary, ServiceSummary, Su
 use serde::{Deserialize, Serialize};
 
 use super::{
+    bill::Price,
     column::{Column, above_target, handover_gap, other, service_time, total},
     time_parts::{MeasuredLoss, MeasuredPart},
 };
@@ -66,6 +67,9 @@ pub struct Measured {
     /// Goodput of each source of traffic, bit/s.
     #[serde(default)]
     pub goodput_bps: Vec<(TrafficId, f64)>,
+    /// Prices, that of everything first; none if the testbed file has no currency.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bill: Vec<Price>,
     /// Stretches of services with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -168,6 +172,10 @@ impl Measured {
             time_parts: MeasuredPart::of(summary),
             losses: MeasuredLoss::of(summary),
             goodput_bps: summary.traffic.iter().map(|its| (its.source.clone(), its.goodput_bps)).collect(),
+            bill: summary
+                .bill
+                .as_ref()
+                .map_or_else(Vec::new, |bill| Price::all(bill, summary.duration_ms / 3_600_000.0)),
             regions: summary.regions.iter().map(region).collect(),
         }
     }

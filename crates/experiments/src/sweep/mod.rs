@@ -24,6 +24,7 @@
 //! ```
 
 mod axis;
+mod bill;
 mod cells;
 mod column;
 mod differences;
@@ -56,7 +57,8 @@ use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
-    cells::{Cell, Interval, ServiceCell, Verdicts},
+    bill::Price,
+    cells::{Cell, Interval, PriceCell, ServiceCell, Verdicts},
     differences::Difference,
     folder::FILES,
     measured::{Measured, MeasuredService, Region},

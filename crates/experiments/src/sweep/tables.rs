@@ -5,6 +5,7 @@ use cotorra_testbed::{DataTable, Judged, Void, name_of_total};
 
 use super::{
     Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
+    bill::Price,
     column::Column,
     measured::passed,
     runs::Done,
@@ -127,6 +128,23 @@ pub(super) fn traffic(runs: &Runs) -> Option<DataTable> {
         let row = |(source, goodput): &(TrafficId, f64)| vec![source.to_string(), number(Some(*goodput))];
         measured.goodput_bps.iter().map(row).collect()
     }))
+}
+
+/// Returns a row for each price of each run; `None` without any.
+pub(super) fn bill(runs: &Runs) -> Option<DataTable> {
+    measured(runs).find(|measured| !measured.bill.is_empty())?;
+    Some(rows(
+        runs,
+        ["seed", "of", "currency"],
+        &["price", "price_per_hour"].map(str::to_owned),
+        |measured| {
+            let row = |its: &Price| {
+                let names = [its.of.clone(), its.currency.clone()];
+                names.into_iter().chain([its.price, its.per_hour].map(|price| number(Some(price)))).collect()
+            };
+            measured.bill.iter().map(row).collect()
+        },
+    ))
 }
 
 /// Returns the results of the runs that have some.

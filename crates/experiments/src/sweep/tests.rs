@@ -592,3 +592,30 @@ fn goodputs_of_sources_have_a_table_and_intervals() {
         assert!(goodput.mean > 0.95 * rate && goodput.mean < rate, "{goodput:?}");
     }
 }
+
+#[test]
+fn prices_have_a_table_and_intervals_where_there_is_a_currency() {
+    let text = "name: bill\ncurrency: EUR\nprobes: none\nnodes:\n  \
+                a: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n  \
+                b: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n\
+                links: [{ ends: [a, b], delay: 1 ms, rate: 10 Mbit/s, cost: 0.09 }]\n\
+                traffic:\n  full: { from: a, to: b, protocol: udp, rate: saturated }\n";
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
+    let sweep = Sweep::new("bill.yaml", text.to_owned(), Path::new("")).until(Some(Duration::from_secs(36)));
+    let sweep = sweep.axis("links.a-b.rate=10 Mbit/s,20 Mbit/s".parse().unwrap()).seeds(2);
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    runs.write(&folder).unwrap();
+    let table = fs::read_to_string(folder.path().join("bill.csv")).unwrap();
+    assert!(table.starts_with("links.a-b.rate,seed,of,currency,price,price_per_hour,"), "{table}");
+    assert_eq!(table.matches(",everything,EUR,").count(), 2 * 2, "{table}");
+    for (cell, rate) in runs.cells().iter().zip([10e6, 20e6]) {
+        let [all, link] = &cell.bill[..] else { panic!("{cell:?}") };
+        assert_eq!([&all.of, &link.of], ["everything", "link a-b"]);
+        // A GB is eight gigabits: the link is full but for the first and the last moment.
+        let full = rate * 3600.0 / 8e9 * 0.09;
+        assert!((link.per_hour.mean / full - 1.0).abs() < 0.03, "{} for {full}", link.per_hour.mean);
+        assert!((link.price.mean * 100.0 - link.per_hour.mean).abs() < 1e-9, "a hundredth of an hour");
+        assert_eq!(all.price, link.price);
+    }
+}

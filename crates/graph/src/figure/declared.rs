@@ -154,12 +154,16 @@ figures! {
             "Probability that all servers and links work that a sample used; the least of all samples.";
         Cost = "cost" of "SERVICE", Number, Lower, "cost",
             "Price of the CPUs that the VNFs of a service take of servers; the highest of all samples.";
+        Bill = "bill" of "SERVICE", Number, Lower, "bill",
+            "Price of the CPUs, the memory and the migrations of the VNFs of a service, over the run.";
         Handovers = "handovers" of "ROBOT", Number, Lower, "handovers", "Number of changes of attachment.";
         Detached = "detached" of "ROBOT", Millis, Lower, "detached_ms",
             "Time without a radio unit after the robot had lost one.";
         Driven = "driven" of "ROBOT", Metres, Neither, "driven_m", "Distance that the robot drove.";
         Blind = "blind" of "ROBOT", Metres, Lower, "blind_m", "Distance that it drove blind.";
         LongestBlind = "longest_blind" of "ROBOT", Metres, Lower, "longest_blind_m", "Its longest blind stretch.";
+        TotalBill = "total_bill" of "", Number, Lower, "total_bill",
+            "Price of everything that the run took of servers and links.";
         Duration = "duration" of "", Millis, Lower, "duration_ms", "Duration of the run.";
         Migrations = "migrations" of "", Number, Lower, "migrations",
             "Number of changes of VNFs' nodes after the start.";

@@ -39,7 +39,15 @@ pub fn node(name: &str, kind: NodeKind) -> Node {
 
 /// Returns a server at the edge that costs 1 and never fails.
 pub fn server() -> Server {
-    Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0, real: None }
+    Server {
+        tier: Tier::Edge,
+        capacity: CAPACITY,
+        cost: 1.0,
+        memory_cost: 0.0,
+        migration_cost: 0.0,
+        reliability: 1.0,
+        real: None,
+    }
 }
 
 /// Returns a simulated TurtleBot 2 in a network, which roams by instruction only.
@@ -82,6 +90,7 @@ pub fn link(a: &str, b: &str, conditions: Conditions) -> Link {
         scales: Default::default(),
         medium: BitRate::from_mbps(100_000.0).unwrap(),
         medium_delay: Duration::ZERO,
+        cost: 0.0,
         reliability: 1.0,
     }
 }
@@ -138,6 +147,7 @@ pub fn testbed(graph: HardwareGraph) -> Testbed {
     Testbed {
         name: "test".to_owned(),
         description: String::new(),
+        currency: None,
         folder: Default::default(),
         graph,
         services: Vec::new(),

@@ -88,6 +88,7 @@ impl Builder<'_> {
                     scales,
                     medium: record.medium,
                     medium_delay: record.medium_delay.as_ref().map(|delay| delay.value).unwrap_or_default(),
+                    cost: record.cost.0,
                     reliability,
                 });
             }

@@ -318,6 +318,8 @@ impl Builder<'_> {
                     tier: s.tier,
                     capacity: capacity(s.cpus, s.memory),
                     cost: s.cost.0,
+                    memory_cost: s.memory_cost.0,
+                    migration_cost: s.migration_cost.0,
                     reliability: self.reliability(&s.reliability),
                     real: self.real_server(s)?,
                 };

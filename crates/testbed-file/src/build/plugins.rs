@@ -20,6 +20,9 @@ pub const SCHEDULE: &str = "schedule";
 /// The name under which the command line instructs a run.
 pub const COMMAND_LINE: &str = "command-line";
 
+/// Most characters of a currency.
+const LONGEST_CURRENCY: usize = 8;
+
 impl Builder<'_> {
     /// The plug-ins. Those with a node need that of the core.
     pub(super) fn plugins(&mut self, core: Option<&NodeId>) -> Option<Vec<PluginSpec>> {
@@ -105,6 +108,19 @@ impl Builder<'_> {
             env: env?,
             settings: record.settings.clone(),
         })
+    }
+
+    /// The currency of all prices, if there is one.
+    pub(super) fn currency(&mut self) -> Option<Option<String>> {
+        let Some(currency) = &self.record.currency else { return Some(None) };
+        let is_short = (1..=LONGEST_CURRENCY).contains(&currency.value.chars().count());
+        if !is_short || currency.value.contains(|c: char| c.is_whitespace() || c.is_control() || c == ',') {
+            self.sink.error(&currency.span, "this is no currency").help(format!(
+                "write a word or a sign of at most {LONGEST_CURRENCY} characters, such as `EUR`"
+            ));
+            return None;
+        }
+        Some(Some(currency.value.clone()))
     }
 
     /// The core's node, or `None` if it has none; nothing if it is wrong.

@@ -1,6 +1,8 @@
 //! KPIs: some placement can keep each.
 
-use cotorra_graph::{Bound, Edge, Figure, Measure, Node, NodeId, NodeKind, Service, Testbed, Topology, Vnf};
+use cotorra_graph::{
+    Bound, Edge, Figure, Measure, Node, NodeId, NodeKind, Service, Testbed, Topology, Total, Vnf,
+};
 
 use super::services::carries;
 use crate::{
@@ -70,6 +72,11 @@ fn subjects(bound: &Spanned<Bound>, service: &Service, testbed: &Testbed, sink: 
     let graph = &testbed.graph;
     let figure = match bound.value.measure(&service.id, &service.robot) {
         Ok(Measure::Of(figure, _)) => figure,
+        Ok(Measure::Total(Total::Bill | Total::TotalBill)) if testbed.currency.is_none() => {
+            sink.error(&bound.span, "there is no bill without a currency")
+                .help("write `currency: EUR`, or another one, at the top of the file");
+            return;
+        }
         Ok(Measure::Total(_)) => return,
         Err(wrong) => return report(&wrong, &bound.span, sink),
     };

@@ -2,6 +2,7 @@
 //! except localization errors.
 
 mod away;
+mod bill;
 mod doubts;
 mod driving;
 mod end;
@@ -29,6 +30,7 @@ mod vnf_waits;
 mod void;
 mod whole;
 
+pub use bill::{Bill, DomainBill, LinkBill, ServerBill, ServiceBill, Taken};
 pub use doubts::sampled_services;
 pub(crate) use end::End;
 pub use fidelity::Fidelity;

@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use super::{
     away::AwaySummary,
+    bill::{Bill, Billing},
     doubts::Doubts,
     driving::{Driving, DrivingSummary},
     end::End,
@@ -93,6 +94,9 @@ pub struct Summary {
     /// What arrived of each source's traffic, in virtual time.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub traffic: Vec<Measured>,
+    /// Prices of what the run took, if the testbed file has a currency.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bill: Option<Bill>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
     /// Plug-ins that were cut off, each with the reason. Of optional ones, there is a notice.
@@ -334,6 +338,7 @@ pub struct Report {
     no_progress: Option<String>,
     localization: Vec<LocalizationSummary>,
     traffic: Vec<Measured>,
+    billing: Option<Billing>,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
@@ -398,6 +403,7 @@ impl Report {
             no_progress: None,
             localization: Vec::new(),
             traffic: Vec::new(),
+            billing: Billing::new(testbed),
             pose_source: None,
             robots: testbed
                 .services
@@ -432,6 +438,9 @@ impl Report {
     pub fn absorb(&mut self, stamped: &Stamped) {
         self.driving.absorb(stamped);
         self.judge.absorb(stamped);
+        if let Some(billing) = &mut self.billing {
+            billing.absorb(stamped);
+        }
         self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
         match event {
@@ -684,6 +693,7 @@ impl Report {
             localization: self.localization.clone(),
             driving: self.driving.summary(),
             traffic: self.traffic.clone(),
+            bill: self.billing.as_ref().map(|billing| billing.bill(end)),
             plugins: self.instructed.summary(),
             plugin_faults: self.faults.clone(),
             notices: self.notices.clone(),

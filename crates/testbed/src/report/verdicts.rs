@@ -138,6 +138,8 @@ impl Summary {
             Total::Samples => Some(count(its.samples)),
             Total::Unanswered => Some(count(its.unanswered)),
             Total::Reliability | Total::Cost => None,
+            Total::Bill => self.bill.as_ref()?.of(&its.service),
+            Total::TotalBill => Some(self.bill.as_ref()?.total_price),
             Total::Handovers => robot().map(|robot| count(robot.handovers)),
             Total::Detached => robot().map(|robot| robot.detached_ms),
             Total::Driven => driving().map(|driving| driving.driven_m),

@@ -60,6 +60,37 @@ fn okpi_leaves_links_that_a_camera_fills_and_does_not_come_back() {
 }
 
 #[test]
+fn the_bill_of_cpus_is_the_objective_of_okpi_over_time() {
+    let (mut testbed, _) = room("measured");
+    testbed.currency = Some("EUR".to_owned());
+    let mut report = Report::new(&testbed, 1);
+    let mut costs = vec![(0.0, 2.0 * 1.0)];
+    for stamped in events_of(&Arc::new(testbed), 1, 60.0) {
+        report.absorb(&stamped);
+        if let Event::Decision(Decision { instruction: Instruction::Place { .. }, reason, .. }) =
+            stamped.event
+        {
+            let reason = reason.unwrap();
+            let (_, cost) = reason.split_once("for a cost of ").unwrap();
+            costs.push((stamped.at.as_secs_f64(), cost.split(':').next().unwrap().parse().unwrap()));
+        }
+    }
+    let end = Timestamp::from_secs_f64(60.0);
+    let bill = report.summary(end, "ended", Losses::default()).bill.unwrap();
+    let until = costs.iter().skip(1).map(|(at, _)| *at).chain([60.0]);
+    let spent: Vec<f64> =
+        costs.iter().zip(until).map(|((at, cost), until)| cost * (until - at) / 3600.0).collect();
+    let [before, after] = spent[..] else { panic!("{costs:?}") };
+    let navigation = &bill.services[0];
+    assert_eq!(navigation.service.as_str(), "navigation");
+    // A placement takes effect a few microseconds after its decision.
+    let of_all = navigation.taken.cpu_price / (before + after);
+    assert!((of_all - 1.0).abs() < 1e-6, "{spent:?} {bill:?}");
+    assert_eq!(navigation.taken.migrations, 1);
+    println!("{} for {costs:?}", bill.sentence());
+}
+
+#[test]
 fn okpi_stays_on_full_links_if_it_counts_with_the_configuration() {
     let Minute { moves, samples } = minute("asked");
     assert_eq!(moves, []);
