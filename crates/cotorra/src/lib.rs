@@ -40,6 +40,7 @@ mod origin;
 mod progress;
 mod ps;
 mod quantity;
+mod regret_table;
 mod replaced;
 mod replay;
 mod reproduce;

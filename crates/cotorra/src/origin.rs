@@ -25,8 +25,8 @@ pub fn of(repeat: Repeat) -> Origin {
     Origin { command, commit: COMMIT.to_owned(), repeat }
 }
 
-/// Returns what started a run with these options.
-pub fn of_run(options: &Options, time: Time) -> Origin {
+/// Returns what started a run with these options, and `more` words that no option has.
+pub fn of_run(options: &Options, time: Time, more: &[&str]) -> Origin {
     if options.after.as_ref().is_some_and(|previous| previous.has_notes()) {
         let why = "it continued negotiations of an earlier run (--after), whose state is in a ledger";
         return of(Repeat::Not(why.to_owned()));
@@ -35,6 +35,7 @@ pub fn of_run(options: &Options, time: Time) -> Origin {
     if time == Time::Virtual {
         words.push("--simulate".to_owned());
     }
+    words.extend(more.iter().map(ToString::to_string));
     words.extend(options.until.map(|until| format!("--until={}s", until.as_secs_f64())));
     if options.recording.file == Some(RecordingPlace::Folder) {
         words.push("--record".to_owned());

@@ -69,6 +69,12 @@ pub fn ago(age: Duration) -> String {
     format!("{:.1} s ago", age.as_secs_f64())
 }
 
+/// `+0.57`, `-2.96`, `0.00`.
+pub fn signed(figure: f64) -> String {
+    let text = format!("{figure:+.2}");
+    if matches!(&text[1..], "0.00") { "0.00".to_owned() } else { text }
+}
+
 /// Lists the links of a path.
 pub fn over(links: &[LinkId]) -> String {
     links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
@@ -77,6 +83,12 @@ pub fn over(links: &[LinkId]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn figures_that_round_to_zero_have_no_sign() {
+        let texts = [0.57, -2.96, 0.004, -0.004].map(signed);
+        assert_eq!(texts, ["+0.57", "-2.96", "0.00", "0.00"]);
+    }
 
     #[test]
     fn a_share_is_told_from_the_demanded_one() {

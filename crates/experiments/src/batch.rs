@@ -225,6 +225,23 @@ pub(crate) struct Batch<M> {
     pub(crate) again: Again,
 }
 
+impl<M> Batch<M> {
+    /// Whether all runs were made.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.done.iter().all(Option::is_some)
+    }
+
+    /// Returns the number of runs that were made.
+    pub(crate) fn made(&self) -> usize {
+        self.done.iter().flatten().count()
+    }
+
+    /// Returns the number of void runs.
+    pub(crate) fn void(&self) -> usize {
+        self.done.iter().flatten().filter(|outcome| outcome.void().is_some()).count()
+    }
+}
+
 /// Makes the runs that the journal does not have yet, or has with another key, without results or without samples, `jobs` at a
 /// time, and adds each to the journal as soon as it is done. `file` is the name of the testbed file. `measure` makes the run of
 /// that index; it returns `None` if it was stopped. Calls `go_on` with the number of finished runs, at the beginning and after

@@ -1,6 +1,6 @@
 //! How far a plug-in is from the core.
 
-use std::time::Duration;
+use std::{fmt, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -46,5 +46,22 @@ impl PluginDistance {
     /// Whether the plug-in is beside the core, and decides at once.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
+    }
+}
+
+impl fmt::Display for PluginDistance {
+    /// Writes the keys of the testbed file that make it: `control_delay 100 ms, decides_in 5 ms`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ms = |duration: Duration| format!("{} ms", millis::of(duration));
+        let way = match &self.way {
+            Way::None => None,
+            Way::Delay { control_delay } => Some(format!("control_delay {}", ms(*control_delay))),
+            Way::Nodes { core, plugin } => Some(format!("node {plugin}, core {core}")),
+        };
+        let decides_in = (!self.decides_in.is_zero()).then(|| format!("decides_in {}", ms(self.decides_in)));
+        match [way, decides_in].into_iter().flatten().collect::<Vec<_>>().join(", ") {
+            none if none.is_empty() => f.write_str("none"),
+            keys => f.write_str(&keys),
+        }
     }
 }

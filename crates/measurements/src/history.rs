@@ -25,6 +25,7 @@ use crate::{
     paced::PacedRecorder,
     page::{Page, PageRequest, pages},
     recorder::{Queue, Recorder},
+    regret::{ServiceRegret, regrets},
     run::{Gap, Run, RunId, RunInfo},
     silence::{Silence, silences},
     sqlite::Sqlite,
@@ -435,6 +436,21 @@ impl History {
         targets: [Targets; 2],
     ) -> Result<Difference> {
         difference((&*self.store, a), (&*other.store, b), targets)
+    }
+
+    /// Compares the services of a run with those of a run of another history, with the same seed and these targets, and gives
+    /// intervals over blocks of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn regrets_with(
+        &self,
+        run: RunId,
+        other: &Self,
+        without: RunId,
+        targets: &Targets,
+    ) -> Result<Vec<ServiceRegret>> {
+        regrets((&*self.store, run), (&*other.store, without), targets)
     }
 
     fn select<T: FromEvent>(

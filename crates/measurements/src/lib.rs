@@ -19,6 +19,7 @@ mod memory;
 mod paced;
 mod page;
 mod recorder;
+pub mod regret;
 mod retention;
 mod rolled;
 mod run;

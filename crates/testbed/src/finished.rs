@@ -6,7 +6,7 @@ use cotorra_figure::Format;
 use cotorra_measurements::RunId;
 use cotorra_recording::RecordingSummary;
 
-use crate::report::{End, FolderError, Report, Summary, write_figure};
+use crate::report::{End, FolderError, Report, StalenessRegret, Summary, rewrite_summary, write_figure};
 
 /// The result of a run.
 #[derive(Debug)]
@@ -29,6 +29,15 @@ impl Finished {
     /// Whether a user stopped the run before its end.
     pub fn was_stopped(&self) -> bool {
         self.summary.ended == End::Stopped.as_str()
+    }
+
+    /// Adds what old context cost to the summary, also in the folder.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn add_staleness_regret(&mut self, regret: Vec<StalenessRegret>) -> Result<(), FolderError> {
+        self.summary.staleness_regret = regret;
+        rewrite_summary(&self.folder, &self.summary)
     }
 
     /// Writes `service_time` in a further format beside `service_time.svg`.

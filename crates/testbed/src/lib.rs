@@ -22,6 +22,7 @@ mod plugins;
 mod real;
 pub mod replay;
 mod report;
+mod twin;
 mod virtual_time;
 mod wifi;
 
@@ -59,9 +60,10 @@ pub use report::{
     Bill, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged,
     Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles,
     RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis, ServiceParts, ServiceSummary,
-    Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels, robots_by_name,
+    StalenessRegret, Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels, robots_by_name,
     sampled_services, service_time_ms, write_file, write_samples,
 };
+pub use twin::{MaybeTwin, TwinError, beside_core, check_twin, distant};
 pub use virtual_time::{
     Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
     simulate_unrecorded, simulate_watched, time_control::Speed,

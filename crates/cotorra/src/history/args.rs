@@ -25,6 +25,7 @@ Examples:
   cotorra history series latest R1-cloud --figure delay -o delay.pdf
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest
+  cotorra history regret latest runs/corridor-20260101-120000
   cotorra history data latest robot camera -o image.raw
   cotorra history export latest --format parquet --out exported
   cotorra history prune latest --raw 1h
@@ -41,6 +42,7 @@ pub enum History {
     Events(EventsArgs),
     /// Compare two runs: service times, links, handovers, placements, decisions
     Diff(DiffArgs),
+    Regret(RegretArgs),
     Data(DataArgs),
     Gaps(GapsArgs),
     Export(ExportArgs),
@@ -302,6 +304,27 @@ pub struct DataArgs {
 pub struct DiffArgs {
     /// The two runs
     #[arg(value_name = "RUN", num_args = 2, required = true)]
+    pub pair: Vec<String>,
+    /// Write JSON
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+/// Say what old context cost: a run whose plug-ins are away from the core, beside the same run without distances
+///
+/// Both are runs of the same file with the same seed, which differ in nothing but `control_delay`, `node` and `decides_in` of
+/// plug-ins. Any other difference is named and rejected. For each service, there are the figures of both runs, and their
+/// difference with an interval (95 %): the same blocks of time are drawn from both runs. docs/use/old-context.md explains it.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra history regret latest runs/corridor-20260101-120000
+  cotorra history regret runs/corridor-20260101-120000 runs/corridor-20260101-120000/twins/okpi --json")]
+pub struct RegretArgs {
+    /// The run with distances, and the run without
+    #[arg(value_names = ["FAR", "BESIDE"], num_args = 2, required = true)]
     pub pair: Vec<String>,
     /// Write JSON
     #[arg(long)]

@@ -10,6 +10,7 @@ mod gaps;
 mod place;
 mod plot;
 mod prune;
+mod regret;
 mod runs;
 mod series;
 mod services;
@@ -22,6 +23,7 @@ use std::process::ExitCode;
 pub use self::{
     args::{EXAMPLES, History, HistoryPlace, Span},
     place::{HISTORY_VARIABLE, Place, location},
+    regret::of_folders as regret_of_folders,
     source::{Error as SourceError, Source},
 };
 
@@ -33,6 +35,7 @@ pub fn history(command: &History) -> miette::Result<ExitCode> {
         History::Series(args) => series::series(args)?,
         History::Events(args) => events::events(args)?,
         History::Diff(args) => diff::diff(args)?,
+        History::Regret(args) => regret::regret(args)?,
         History::Data(args) => data::data(args)?,
         History::Gaps(args) => gaps::gaps(args)?,
         History::Export(args) => transfer::export(args)?,

@@ -9,21 +9,21 @@ use cotorra_graph::Timestamp;
 use cotorra_numbers::FEWEST;
 use cotorra_testbed::Manifest;
 
-use super::{Error, MarginArgs, WhichDecision, again, exit, open};
+use super::{Error, MarginArgs, WhichDecision, again, distances, exit, open};
 use crate::{
     output,
     progress::Progress,
     table::{Table, wrap},
     temporary::TemporaryFolder,
     testbed_file::Loaded,
-    words::{self, count, of_them},
+    words::{self, count, of_them, signed},
 };
 
 /// Limit of a single seed.
 const ONE_SEED: &str =
     "One seed does not tell whether a difference is more than chance: --seeds 10 gives intervals.\n";
 /// Maximum number of decisions that the terminal lists.
-const LISTED: usize = 40;
+pub(super) const LISTED: usize = 40;
 
 /// Examines decisions of a run.
 pub fn examine(
@@ -54,7 +54,8 @@ pub fn examine(
                 return Err(fail(error).into());
             }
         };
-        output::print(&(list(&recorded, number) + &again(&place)))?;
+        let twins = regret.count_twins(&recorded, number).map_err(fail)?;
+        output::print(&(list(&recorded, number, twins) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
     let (interrupts, journal) = open(args, &place, &text, seed)?;
@@ -76,8 +77,8 @@ pub fn examine(
     Ok(exit(regrets.complete, regrets.void))
 }
 
-/// Lists the decisions of a run, and their alternatives.
-fn list(recorded: &[Recorded], number: Option<NonZero<usize>>) -> String {
+/// Lists the decisions of a run, and their alternatives. So many twins are run, too.
+fn list(recorded: &[Recorded], number: Option<NonZero<usize>>, twins: usize) -> String {
     let chosen = |decided: &&Decided| number.is_none_or(|number| number.get() == decided.number);
     let first = recorded.first().into_iter().flat_map(|run| &run.decided);
     let decided: Vec<_> = first.filter(chosen).collect();
@@ -100,11 +101,12 @@ fn list(recorded: &[Recorded], number: Option<NonZero<usize>>) -> String {
         [first, _, ..] => format!(" with {}; those of seed {}:", count(recorded.len(), "seed"), first.seed),
         _ => String::new(),
     };
-    format!("{decisions}, {} with alternatives{seeds}\n\n{}{more}", count(runs, "run"), table.render("  "))
+    let twins = if twins > 0 { format!(" and {}", count(twins, "twin")) } else { String::new() };
+    format!("{decisions}, {} with alternatives{twins}{seeds}\n\n{}{more}", count(runs, "run"), table.render("  "))
 }
 
 /// Returns the first cells of a decision's row.
-fn heads(decided: &Decided) -> [String; 5] {
+pub(super) fn heads(decided: &Decided) -> [String; 5] {
     let Decided { number, at, plugin, .. } = decided;
     [number.to_string(), seconds(*at), plugin.to_string(), decided.subject().to_owned(), decided.chosen()]
 }
@@ -118,16 +120,18 @@ fn named(target: &str, stays: bool) -> String {
 }
 
 fn describe(regrets: &Regrets, folder: &Path) -> String {
-    let Regrets { seed, seeds, services, examined, compared, complete, runs, resumed, again, void } = regrets;
+    let Regrets { seed, seeds, services, examined, compared, distances, .. } = regrets;
+    let Regrets { complete, runs, resumed, again, void, .. } = regrets;
     let of_them = of_them(*resumed, *void);
     let services: Vec<_> = services.iter().map(ToString::to_string).collect();
+    let twins = if distances.is_empty() { "" } else { " and twins" };
     let runs = count(*runs, "run");
     let which = match seeds {
         1 => format!("seed {seed}"),
         seeds => format!("{seeds} seeds from {seed} on"),
     };
     let mut text = format!(
-        "{runs} with alternatives{of_them}; samples of {} from each decision on, {which}\n{again}\n",
+        "{runs} with alternatives{twins}{of_them}; samples of {} from each decision on, {which}\n{again}\n",
         services.join(", ")
     );
     text += &match &examined[..] {
@@ -135,6 +139,7 @@ fn describe(regrets: &Regrets, folder: &Path) -> String {
         [one] => single(one) + ONE_SEED,
         all => overview(all) + ONE_SEED,
     };
+    text += &distances::describe(distances, examined, *seeds);
     if !complete {
         text += "\nThe comparison was stopped; the same command resumes it.\n";
     }
@@ -237,12 +242,12 @@ fn over_seeds(examined: &[Examined], compared: &[Compared]) -> String {
 }
 
 /// `0.012`, `<0.001`.
-fn shown_p(p: f64) -> String {
+pub(super) fn shown_p(p: f64) -> String {
     if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
 }
 
 /// `+0.16 (-0.02 to +0.34)`; two pairs are too few for an interval.
-fn paired(paired: Option<Paired>, factor: f64) -> String {
+pub(super) fn paired(paired: Option<Paired>, factor: f64) -> String {
     let Some(Paired { n, mean, low, high, .. }) = paired else { return "-".to_owned() };
     let mean = signed(mean * factor);
     match low.zip(high) {
@@ -291,23 +296,6 @@ fn kept(stood: &Stood, with_decision: &Stood) -> String {
     if stood.walked || !with_decision.walked { kept } else { format!("{kept}, a walk does not end") }
 }
 
-/// `+0.57`, `-2.96`, `0.00`.
-fn signed(figure: f64) -> String {
-    let text = format!("{figure:+.2}");
-    if matches!(&text[1..], "0.00") { "0.00".to_owned() } else { text }
-}
-
 fn median(stood: &Stood) -> String {
     stood.service_time_p50_ms.map_or_else(|| "-".to_owned(), |median| format!("{median:.2}"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn figures_that_round_to_zero_have_no_sign() {
-        let texts = [0.57, -2.96, 0.004, -0.004].map(signed);
-        assert_eq!(texts, ["+0.57", "-2.96", "0.00", "0.00"]);
-    }
 }

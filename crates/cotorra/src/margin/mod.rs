@@ -2,6 +2,7 @@
 
 pub mod args;
 mod decisions;
+mod distances;
 mod show;
 
 use std::{fs, num::NonZero, path::Path, process::ExitCode, thread};

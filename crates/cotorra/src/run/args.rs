@@ -41,6 +41,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
   cotorra run testbeds/corridor.yaml --simulate --speed 5x --open
+  cotorra run testbeds/corridor.yaml --simulate --set plugin=okpi --set \"plugins.okpi.control_delay=1 s\" --twin
   cotorra run testbeds/corridor.yaml --simulate --capture lan-cloud=cloud.pcapng
   cotorra run testbeds/corridor.yaml --record corridor.mcap
   cotorra run testbeds/corridor.yaml --foxglove
@@ -122,6 +123,12 @@ pub struct RunArgs {
     /// separate programs cannot take part.
     #[arg(long)]
     pub simulate: bool,
+    /// Run the twin, too: the same run with a plug-in beside the core, to say what its distance cost
+    ///
+    /// Each plug-in with a `control_delay`, a `node` or a time of decisions has a twin, in twins/ in the run's folder. The
+    /// difference by service is in the terminal and in summary.json, as `staleness_regret`. It takes as long again.
+    #[arg(long, requires = "simulate", conflicts_with_all = ["speed", "open", "after"])]
+    pub twin: bool,
     /// Serve virtual time to the dashboard and the API at a speed, as in 1x, 2.5x or max; with --open, the default is 1x
     ///
     /// The dashboard can stop time, take it on by steps, and change its speed. The results are the same, unless somebody

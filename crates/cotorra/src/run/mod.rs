@@ -5,6 +5,7 @@ mod lines;
 mod plan;
 mod summary;
 mod tally;
+mod twin;
 mod view;
 
 use std::{
@@ -81,6 +82,9 @@ pub enum Error {
         "docs/use/federation.md, \"After a crash\", lists the conditions; without --after, the run starts afresh"
     ))]
     After { run: String, why: CannotGoOn },
+    #[error("--twin compares with plug-ins beside the core, and no plug-in is away from it")]
+    #[diagnostic(help("give one a distance, as in --set \"plugins.okpi.control_delay=100 ms\""))]
+    NoDistance,
 }
 
 impl From<RunError> for Error {
@@ -147,6 +151,10 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     options.after = previous(&args, &mut loaded)?;
     let finished = if args.simulate {
         match args.watched() {
+            None if args.twin => {
+                let base = args.file.parent().unwrap_or(Path::new(""));
+                stage.simulate_with_twins(&loaded, base, options)?
+            }
             None => stage.simulate(&loaded, options, "")?,
             Some(speed) => stage.simulate_and_show(&loaded, options, speed, opener)?,
         }
@@ -217,7 +225,7 @@ impl Stage {
         mut options: Options,
         show: impl FnOnce(&Dashboard),
     ) -> miette::Result<Finished> {
-        options.origin = origin::of_run(&options, Time::Real);
+        options.origin = origin::of_run(&options, Time::Real, &[]);
         let until = options.until;
         let run = Run::start(loaded.testbed.clone(), &loaded.text, options).map_err(Error::from)?;
         let folder = run.folder().to_owned();
@@ -244,6 +252,18 @@ impl Stage {
 
     /// Runs a testbed in virtual time, to its end. `prefix` names the run in the progress line; it can be empty.
     pub fn simulate(&self, loaded: &Loaded, options: Options, prefix: &str) -> miette::Result<Finished> {
+        self.simulate_as(loaded, options, prefix, false)
+    }
+
+    /// Does the same as [`Self::simulate`]. With twins, a repeat has them, too.
+    fn simulate_as(
+        &self,
+        loaded: &Loaded,
+        mut options: Options,
+        prefix: &str,
+        has_twins: bool,
+    ) -> miette::Result<Finished> {
+        options.origin = origin::of_run(&options, Time::Virtual, if has_twins { &["--twin"] } else { &[] });
         self.show_virtual_time(options, prefix, |options, _, go_on| {
             cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, go_on)
         })
@@ -253,10 +273,11 @@ impl Stage {
     fn simulate_and_show(
         &self,
         loaded: &Loaded,
-        options: Options,
+        mut options: Options,
         speed: Speed,
         opener: Opener,
     ) -> miette::Result<Finished> {
+        options.origin = origin::of_run(&options, Time::Virtual, &[]);
         let mut opener = Some(opener);
         self.show_virtual_time(options, "", |options, spinner, go_on| {
             let mut served = |dashboard: &Dashboard| {
@@ -274,11 +295,10 @@ impl Stage {
     /// Shows the progress of a run in virtual time, which is given a function to call with the time.
     fn show_virtual_time(
         &self,
-        mut options: Options,
+        options: Options,
         prefix: &str,
         run: impl FnOnce(&Options, &ProgressBar, &mut dyn FnMut(Timestamp) -> bool) -> Result<Finished, RunError>,
     ) -> miette::Result<Finished> {
-        options.origin = origin::of_run(&options, Time::Virtual);
         let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(prefix.to_owned()));
         let mut next_line = FIRST_LINE;
         let finished = run(&options, &spinner, &mut |now| {

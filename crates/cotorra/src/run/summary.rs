@@ -8,11 +8,12 @@ use cotorra_measurements::Location;
 use cotorra_numbers::median;
 use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{
-    FEW_ROBOTS, Finished, GatewaySummary, LocalizationSummary, Quantiles, RobotSummary, Summary,
-    WORST_ROBOTS, robots_by_name,
+    FEW_ROBOTS, Finished, GatewaySummary, LocalizationSummary, Quantiles, RobotSummary, StalenessRegret,
+    Summary, WORST_ROBOTS, robots_by_name,
 };
 
 use crate::{
+    regret_table,
     service_table::service_table,
     table::{Table, columns, wrap},
     verdict::{by_name, verdicts},
@@ -63,6 +64,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     }
     text += "\n";
     text += &figures(summary, several).render("  ");
+    text += &old_context(summary);
     for notice in &summary.notices {
         text += &format!("  {} {notice}\n", style("!").yellow());
     }
@@ -95,6 +97,19 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         text += &format!("Its history is run {} in {history}\n", finished.run);
     }
     text
+}
+
+/// Describes what old context cost, or says that this is unknown although the ages of contexts are there.
+fn old_context(summary: &Summary) -> String {
+    let regrets = &summary.staleness_regret;
+    if regrets.is_empty() && summary.plugins.iter().any(|plugin| !plugin.staleness.is_empty()) {
+        return "  What old context cost is in no single run: `cotorra run --simulate --twin` compares\n".to_owned();
+    }
+    let of = |its: &StalenessRegret| {
+        format!("\n{}", regret_table::describe(&format!("{}: {}", its.plugin, its.distance), &its.services))
+    };
+    let text = regrets.iter().map(of).collect::<String>();
+    if text.is_empty() { text } else { text + &regret_table::explain() + "\n" }
 }
 
 /// Describes the gaps of a recording.

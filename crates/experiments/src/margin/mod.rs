@@ -340,8 +340,8 @@ impl Margin {
         let (before, total, go_on) = (runs.done, runs.done + wanted.len(), &mut runs.go_on);
         let named = (&wanted[..], self.keys.file());
         let batch = batch::run(runs.journal, runs.jobs, named, measure, |done| go_on(before + done, total))?;
-        runs.done += batch.done.iter().flatten().count();
-        runs.void += batch.done.iter().flatten().filter(|outcome| outcome.void().is_some()).count();
+        runs.done += batch.made();
+        runs.void += batch.void();
         runs.resumed += batch.resumed;
         runs.again.add(batch.again);
         let mut done = batch.done.into_iter();

@@ -72,7 +72,7 @@ pub enum Verdict {
 }
 
 impl Paired {
-    fn of(pairs: Vec<(f64, f64)>, most: f64) -> Option<Self> {
+    pub(super) fn of(pairs: Vec<(f64, f64)>, most: f64) -> Option<Self> {
         let Mean { n, mean, interval, p } = Mean::of_differences(&pairs)?;
         let low = interval.map(|its| its.low.max(-most));
         let high = interval.map(|its| its.high.min(most));

@@ -44,7 +44,7 @@ fn table_of(examined: &[Examined]) -> DataTable {
         "seed",
         "void",
     ]);
-    for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost } in examined {
+    for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost, .. } in examined {
         let own =
             (decided.chosen(), true, Some(stood), [None, None], [*regret_kept, *regret_ms, *regret_cost]);
         let others = tried.iter().map(|tried| {

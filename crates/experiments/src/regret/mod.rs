@@ -7,6 +7,7 @@
 mod compared;
 mod decided;
 mod folder;
+mod twins;
 
 use std::{
     num::NonZero,
@@ -25,10 +26,11 @@ pub use self::{
     compared::{Compared, Paired, Verdict},
     decided::{Alternative, Decided},
     folder::FILES,
+    twins::{DistanceCost, FiguresRegret, ServiceCost, TwinDecision, TwinGave},
 };
 pub use crate::kept::UnknownService;
 use crate::{
-    batch::{self, Again, Batch, BatchError, Maker, Wanted},
+    batch::{self, Again, BatchError, Maker, Wanted},
     journal::Journal,
     kept,
     key::Keys,
@@ -147,6 +149,9 @@ pub struct Examined {
     pub regret_ms: Option<f64>,
     /// Mean price of placed CPUs with the decision, less that with the same alternative.
     pub regret_cost: Option<f64>,
+    /// What the plug-in decided beside the core, if it has a distance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub twin: Option<TwinDecision>,
 }
 
 /// The decisions that were examined.
@@ -162,9 +167,12 @@ pub struct Regrets {
     pub examined: Vec<Examined>,
     /// The alternatives of each decision, over all seeds with that decision. Empty with a single seed.
     pub compared: Vec<Compared>,
+    /// What the distances of the plug-ins cost whose decisions were examined; empty if none has one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub distances: Vec<DistanceCost>,
     /// Whether all alternatives were tried; false after a stop.
     pub complete: bool,
-    /// Number of runs with alternatives.
+    /// Number of runs with alternatives, and of twins.
     pub runs: usize,
     /// Number of these that the journal already had.
     #[serde(skip)]
@@ -300,13 +308,16 @@ impl Regret {
             let folder = journal.path().join(format!("run-{place}"));
             self.fork(run, fork, (maker, &wanted[place]), &folder, stop)
         };
-        let total = wanted.len();
+        let twins = self.twins(&decided);
+        let (forks, total) = (wanted.len(), wanted.len() + twins.len());
         let batch = batch::run(journal, jobs, (&wanted, self.keys.file()), fork, |done| go_on(done, total))?;
-        let void = batch.done.iter().flatten().filter(|outcome| outcome.void().is_some()).count();
-        let complete = batch.done.iter().all(Option::is_some);
-        let runs = batch.done.iter().flatten().count();
+        let mut go_on_with_twins = |done| go_on(forks + done, total);
+        let twinned = self.make_twins(&twins, journal, jobs, &mut go_on_with_twins)?;
+        let (complete, void) =
+            (batch.is_whole() && twinned.is_whole(), batch.void() + twinned.void());
+        let runs = batch.made() + twinned.made();
         let mut forked = batch.done.into_iter();
-        let examined: Vec<_> = decided
+        let mut examined: Vec<_> = decided
             .iter()
             .map(|(run, decided)| {
                 let stood = self.stood(&run.samples, &run.taken, decided.at, run.duration, run.walked);
@@ -330,10 +341,15 @@ impl Regret {
             recorded.iter().flat_map(|run| &run.samples).any(|sample| Some(sample.service) == place)
         };
         let services = self.services.iter().filter(|service| has_samples(service)).cloned().collect();
+        let distances = self.distances(&twins, &twinned, recorded, &mut examined);
         let compared = if self.seeds > 1 { Compared::all(&examined) } else { Vec::new() };
         let (seed, seeds) = (self.seed, self.seeds);
-        let Batch { resumed, again, .. } = batch;
-        Ok(Regrets { seed, seeds, services, examined, compared, complete, runs, resumed, again, void })
+        let resumed = batch.resumed + twinned.resumed;
+        let mut again = batch.again;
+        again.add(twinned.again);
+        let regrets =
+            Regrets { seed, seeds, services, examined, compared, distances, complete, runs, resumed, again, void };
+        Ok(regrets)
     }
 
     /// Repeats the run with a fork; returns `None` if it was stopped before its end.
@@ -419,7 +435,7 @@ impl Examined {
             regret_ms = stood.service_time_p50_ms.zip(best.service_time_p50_ms).map(|(own, best)| own - best);
             regret_cost = stood.cost.zip(best.cost).map(|(own, best)| own - best);
         }
-        Self { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost }
+        Self { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost, twin: None }
     }
 }
 

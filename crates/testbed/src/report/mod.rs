@@ -20,6 +20,7 @@ mod measured_frames;
 mod run_folder;
 mod samples;
 mod services;
+mod staleness_regret;
 mod stream;
 mod summary;
 mod table;
@@ -42,8 +43,10 @@ pub use forged::ForgedSummary;
 pub use gateways::GatewaySummary;
 pub use judged::{Judged, ServiceKpis};
 pub use kept::{Kept, Verdict};
+pub(crate) use run_folder::rewrite_summary;
 pub use run_folder::{RunFolder, write_figure, write_samples};
 pub use services::{by_service, name_of_total};
+pub use staleness_regret::StalenessRegret;
 pub use summary::{
     LocalizationSummary, Losses, RegionSummary, Report, RobotSummary, ServiceSummary, Summary,
     service_time_ms,

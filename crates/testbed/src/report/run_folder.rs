@@ -28,7 +28,7 @@ pub struct RunFolder {
 
 impl RunFolder {
     /// Names in the folder that the run itself uses.
-    pub const NAMES: [&str; 19] = [
+    pub const NAMES: [&str; 20] = [
         Self::RESERVED,
         "history.json",
         "history.sqlite",
@@ -47,6 +47,7 @@ impl RunFolder {
         "services.csv",
         "services.tex",
         SUMMARY,
+        "twins",
         "vnfs",
     ];
     /// Name of the summary until it is written.
@@ -75,7 +76,8 @@ impl RunFolder {
     }
 
     /// Writes the summary into the room that is reserved for it. The file has its name only once it is whole.
-    fn write_summary(&self, json: &str) -> Result<(), FolderError> {
+    fn write_summary(&self, summary: &Summary) -> Result<(), FolderError> {
+        let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON") + "\n";
         let reserved = self.path.join(Self::RESERVED);
         let write = || {
             let mut file = File::options().create(true).write(true).truncate(false).open(&reserved)?;
@@ -117,8 +119,7 @@ impl RunFolder {
     /// # Errors
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
-        let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
-        self.write_summary(&(json + "\n"))?;
+        self.write_summary(summary)?;
         write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
         write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");
@@ -126,6 +127,14 @@ impl RunFolder {
         written.map_err(|source| FolderError::new(&path, source))?;
         write_figure(&self.path, report, summary, Format::Svg)
     }
+}
+
+/// Replaces the summary in the folder of a run that has ended.
+///
+/// # Errors
+/// [`FolderError`].
+pub(crate) fn rewrite_summary(folder: &Path, summary: &Summary) -> Result<(), FolderError> {
+    RunFolder { path: folder.to_owned() }.write_summary(summary)
 }
 
 /// Writes the figure of a run, `service_time`, in a format.

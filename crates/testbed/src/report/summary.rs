@@ -28,6 +28,7 @@ use super::{
     kept::{Kept, Verdict},
     measured_frames::MeasuredFrames,
     samples::Samples,
+    staleness_regret::StalenessRegret,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
     vnf_waits::VnfWaits,
@@ -99,6 +100,9 @@ pub struct Summary {
     pub bill: Option<Bill>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
+    /// What old context cost, by plug-in with a distance, beside the twins of the run; empty without twins.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub staleness_regret: Vec<StalenessRegret>,
     /// Plug-ins that were cut off, each with the reason. Of optional ones, there is a notice.
     pub plugin_faults: Vec<String>,
     /// The first hundred notices.
@@ -695,6 +699,7 @@ impl Report {
             traffic: self.traffic.clone(),
             bill: self.billing.as_ref().map(|billing| billing.bill(end)),
             plugins: self.instructed.summary(),
+            staleness_regret: Vec::new(),
             plugin_faults: self.faults.clone(),
             notices: self.notices.clone(),
             history_dropped: losses.history_dropped,
