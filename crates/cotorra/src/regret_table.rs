@@ -19,16 +19,31 @@ pub fn describe(distances: &str, services: &[ServiceRegret]) -> String {
         let above = format!("above {service_time_target_ms} ms, %");
         let rows = [
             (above.as_str(), with.above_target, without.above_target, regret.above_target, 100.0),
-            ("p99, ms", with.service_time_p99_ms, without.service_time_p99_ms, regret.service_time_p99_ms, 1.0),
-            ("median, ms", with.service_time_p50_ms, without.service_time_p50_ms, regret.service_time_p50_ms, 1.0),
+            (
+                "p99, ms",
+                with.service_time_p99_ms,
+                without.service_time_p99_ms,
+                regret.service_time_p99_ms,
+                1.0,
+            ),
+            (
+                "median, ms",
+                with.service_time_p50_ms,
+                without.service_time_p50_ms,
+                regret.service_time_p50_ms,
+                1.0,
+            ),
         ];
         for (place, (figure, with, without, regret, factor)) in rows.into_iter().enumerate() {
             let name = if place == 0 { format!("{service} of {robot}") } else { String::new() };
-            let of = |figure: Option<f64>| figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor));
+            let of = |figure: Option<f64>| {
+                figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor))
+            };
             table.row([name, figure.to_owned(), of(with), of(without), apart(regret, factor)]);
         }
     }
-    let services = if services.is_empty() { "  no service has samples\n".to_owned() } else { table.render("  ") };
+    let services =
+        if services.is_empty() { "  no service has samples\n".to_owned() } else { table.render("  ") };
     format!("What old context cost ({distances}):\n\n{services}")
 }
 

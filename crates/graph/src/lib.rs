@@ -113,7 +113,7 @@ pub use medium::{Medium, NotOffered};
 pub use natural::Natural;
 pub use nodes::{InvalidNodes, Nodes};
 pub use part::Part;
-pub use plugin_distance::{PluginDistance, Way};
+pub use plugin_distance::{CpuFactor, DecidesIn, PluginDistance, Way};
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{RealLink, RealPort};
 pub use real_machine::{Gateway, Machine, Reached, RealRadio, RealServer};

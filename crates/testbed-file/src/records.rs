@@ -15,7 +15,7 @@ use crate::{
     image::{Device, Reference},
     walls::WallLoss,
     yaml::{
-        Angle, Bytes, Decibels, Drift, Frequency, Metres, Span, Speed,
+        Angle, Bytes, Decibels, DecisionTime, Drift, Frequency, Metres, Span, Speed,
         decode::{Amount, Either, Spanned, Table, choice, record, tagged},
     },
 };
@@ -1481,8 +1481,9 @@ record! {
         node: Option<Spanned<NodeId>>,
         /// Time of each context to it, and of each instruction back, in place of a `node`.
         control_delay: Option<Spanned<Duration>>,
-        /// Time of a decision, in virtual time. In real time, a decision takes what the plug-in takes.
-        decides_in: Duration = "0 ms",
+        /// Time of a decision, in virtual time: a duration, or `cpu` for the CPU time that a program uses from the events that
+        /// it gets to its instruction, times a factor as in `2.5x cpu`. In real time, a decision takes what the plug-in takes.
+        decides_in: Spanned<DecisionTime> = "0 ms",
         /// Settings of the plug-in.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }

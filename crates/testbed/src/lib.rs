@@ -48,7 +48,7 @@ pub use history::{
     run_info::about,
 };
 pub use options::{AgentOptions, HistoryLimit, Options};
-pub use plugins::{PluginError, panic_text};
+pub use plugins::{PluginError, inexact, panic_text};
 pub use real::{
     cpus::missing_cpus,
     leftovers::{Leftovers, clean, leftovers},
@@ -60,8 +60,8 @@ pub use report::{
     Bill, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged,
     Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles,
     RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis, ServiceParts, ServiceSummary,
-    StalenessRegret, Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels, robots_by_name,
-    sampled_services, service_time_ms, write_file, write_samples,
+    StalenessRegret, Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels,
+    robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
 };
 pub use twin::{MaybeTwin, TwinError, beside_core, check_twin, distant};
 pub use virtual_time::{

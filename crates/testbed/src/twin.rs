@@ -54,14 +54,15 @@ pub fn distant(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
 /// Returns the settings that put a plug-in beside the core, where it decides at once.
 pub fn beside_core(spec: &PluginSpec) -> Vec<Setting> {
     let key = |key: &str, value: &str| {
-        Setting::new(&format!("plugins.{}.{key}", spec.id), value).expect("names of plug-ins are parts of a path")
+        Setting::new(&format!("plugins.{}.{key}", spec.id), value)
+            .expect("names of plug-ins are parts of a path")
     };
     let way = match &spec.distance.way {
         Way::None => None,
         Way::Delay { .. } => Some(key("control_delay", "0 ms")),
         Way::Nodes { core, .. } => Some(key("node", core.as_str())),
     };
-    let decides_in = (!spec.distance.decides_in.is_zero()).then(|| key("decides_in", "0 ms"));
+    let decides_in = spec.distance.decides_in.map(|_| key("decides_in", "0 ms"));
     way.into_iter().chain(decides_in).collect()
 }
 
@@ -71,7 +72,8 @@ pub fn beside_core(spec: &PluginSpec) -> Vec<Setting> {
 /// # Errors
 /// [`TwinError`] names what else differs.
 pub fn check_twin<'a>(far: &MaybeTwin<'a>, beside: &MaybeTwin<'_>) -> Result<Vec<&'a PluginSpec>, TwinError> {
-    let different = different_runs(far, beside).into_iter().chain(different_testbeds(far.testbed, beside.testbed));
+    let different =
+        different_runs(far, beside).into_iter().chain(different_testbeds(far.testbed, beside.testbed));
     let different: Vec<_> = different.collect();
     if !different.is_empty() {
         return Err(TwinError::Different(different));
@@ -138,7 +140,8 @@ fn different_testbeds(a: &Testbed, b: &Testbed) -> Vec<String> {
     compare("`wais`", a.wais == b.wais);
     compare("`port_security`", a.without_port_security == b.without_port_security);
     // The way to a plug-in begins at the core's node.
-    let is_of_way = |of: &Testbed| of.plugins.iter().any(|spec| matches!(spec.distance.way, Way::Nodes { .. }));
+    let is_of_way =
+        |of: &Testbed| of.plugins.iter().any(|spec| matches!(spec.distance.way, Way::Nodes { .. }));
     compare("`core`", a.core == b.core || is_of_way(a) || is_of_way(b));
     names.extend(different_plugins(&a.plugins, &b.plugins));
     names
@@ -184,7 +187,8 @@ plugins:
     fn check(far: &Testbed, beside: &Testbed) -> Result<Vec<PluginId>, TwinError> {
         let info = info(1);
         let run = |testbed| MaybeTwin { info: &info, testbed, manifest: None, ended: true };
-        check_twin(&run(far), &run(beside)).map(|plugins| plugins.iter().map(|spec| spec.id.clone()).collect())
+        check_twin(&run(far), &run(beside))
+            .map(|plugins| plugins.iter().map(|spec| spec.id.clone()).collect())
     }
 
     fn different(far: &Testbed, beside: &Testbed) -> String {
@@ -201,7 +205,11 @@ plugins:
             let far = with(settings);
             let [spec] = &distant(&far).collect::<Vec<_>>()[..] else { panic!("{settings:?}") };
             let beside = beside_core(spec);
-            let beside: Vec<_> = settings.iter().map(ToString::to_string).chain(beside.iter().map(ToString::to_string)).collect();
+            let beside: Vec<_> = settings
+                .iter()
+                .map(ToString::to_string)
+                .chain(beside.iter().map(ToString::to_string))
+                .collect();
             let beside = with(&beside.iter().map(String::as_str).collect::<Vec<_>>());
             assert_eq!(distant(&beside).count(), 0, "{settings:?}");
             assert_eq!(check(&far, &beside), Ok(vec!["pace".parse().unwrap()]));
@@ -229,7 +237,8 @@ plugins:
 
     #[test]
     fn other_seeds_and_runs_without_an_end_are_rejected() {
-        let (far, beside) = (with(&[]), with(&["plugins.pace.control_delay=0 ms", "plugins.pace.decides_in=0 ms"]));
+        let (far, beside) =
+            (with(&[]), with(&["plugins.pace.control_delay=0 ms", "plugins.pace.decides_in=0 ms"]));
         let (one, two) = (info(1), RunInfo { started_at_unix_ns: 5, ..info(2) });
         let far = MaybeTwin { info: &one, testbed: &far, manifest: None, ended: true };
         let beside = |info, ended| MaybeTwin { info, testbed: &beside, manifest: None, ended };

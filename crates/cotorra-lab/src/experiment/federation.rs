@@ -92,14 +92,20 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     seeds.sort_unstable();
     seeds.dedup();
     let time = if args.emulate { Time::Real } else { Time::Virtual };
-    begin(&folder, &args.testbed, &args.walks, &Made { time, seeds, until: args.until }, |_| {
-        Ok(match args.ledger.nodes.is_empty() {
-            true => Repeat::Words(Vec::new()),
-            false => {
-                Repeat::Not("it negotiated on an Ethereum network, with keys that it did not copy".to_owned())
-            }
-        })
-    })?;
+    begin(
+        &folder,
+        &args.testbed,
+        &args.walks,
+        &Made { time, inexact: None, seeds, until: args.until },
+        |_| {
+            Ok(match args.ledger.nodes.is_empty() {
+                true => Repeat::Words(Vec::new()),
+                false => Repeat::Not(
+                    "it negotiated on an Ethereum network, with keys that it did not copy".to_owned(),
+                ),
+            })
+        },
+    )?;
     // A run that fails or is stopped does not affect the results of the others.
     let (mut runs, mut failed, mut worst) = (Vec::new(), Vec::new(), Status::Done);
     for (number, plan) in planned.iter().enumerate() {

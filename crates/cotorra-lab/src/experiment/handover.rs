@@ -225,20 +225,26 @@ fn note(args: &HandoverArgs, folder: &Path, planned: &[Planned], kinds: &[Kind])
     let mut seeds: Vec<_> = planned.iter().map(|plan| plan.seed).collect();
     seeds.dedup();
     let time = if kinds.iter().any(|kind| kind.is_real) { Time::Real } else { Time::Virtual };
-    begin(folder, &args.testbed, &args.walks, &Made { time, seeds, until: args.until }, |inputs| {
-        let mut words = Vec::new();
-        if args.kinds.is_empty() {
-            // By default, they are those of the machine.
-            words.extend(kinds.iter().map(|kind| format!("--kind={}", kind.name)));
-        }
-        for (number, with) in args.with.iter().enumerate() {
-            let file = FILES[2];
-            let carried = inputs.add(folder, &with.join(file), &format!("with-{number}/{file}"))?;
-            let with = carried.parent().unwrap_or(Path::new(""));
-            words.push(format!("--with={}", with.display()));
-        }
-        Ok(Repeat::Words(words))
-    })
+    begin(
+        folder,
+        &args.testbed,
+        &args.walks,
+        &Made { time, inexact: None, seeds, until: args.until },
+        |inputs| {
+            let mut words = Vec::new();
+            if args.kinds.is_empty() {
+                // By default, they are those of the machine.
+                words.extend(kinds.iter().map(|kind| format!("--kind={}", kind.name)));
+            }
+            for (number, with) in args.with.iter().enumerate() {
+                let file = FILES[2];
+                let carried = inputs.add(folder, &with.join(file), &format!("with-{number}/{file}"))?;
+                let with = carried.parent().unwrap_or(Path::new(""));
+                words.push(format!("--with={}", with.display()));
+            }
+            Ok(Repeat::Words(words))
+        },
+    )
 }
 
 fn measure(plan: &Planned, finished: &Finished) -> Result<Walked, Error> {

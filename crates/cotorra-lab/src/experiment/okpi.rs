@@ -62,6 +62,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
     let made = Made {
+        inexact: None,
         time: if args.emulate { Time::Real } else { Time::Virtual },
         seeds: vec![args.seed.unwrap_or(variants[0].1.testbed.seed)],
         until: args.until,

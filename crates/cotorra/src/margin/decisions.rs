@@ -7,7 +7,7 @@ use cotorra_experiments::regret::{
 };
 use cotorra_graph::Timestamp;
 use cotorra_numbers::FEWEST;
-use cotorra_testbed::Manifest;
+use cotorra_testbed::{Manifest, inexact};
 
 use super::{Error, MarginArgs, WhichDecision, again, distances, exit, open};
 use crate::{
@@ -39,6 +39,7 @@ pub fn examine(
     };
     let fail = |error: RegretError| Error::from(error);
     let file = args.file.display().to_string();
+    let inexact = inexact(&testbed);
     let regret = Regret::new((&file, testbed, text.clone()), &args.kpi, seed, args.until)
         .map_err(|error| fail(error.into()))?
         .seeds(args.seeds)
@@ -58,7 +59,7 @@ pub fn examine(
         output::print(&(list(&recorded, number, twins) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (interrupts, journal) = open(args, &place, &text, seed)?;
+    let (interrupts, journal) = open(args, &place, (&text, inexact), seed)?;
     let folder = journal.path().join("run-as-it-was");
     let recorded = regret.record(&folder, || interrupts.try_recv().is_err());
     let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false, 0)) };
@@ -102,7 +103,11 @@ fn list(recorded: &[Recorded], number: Option<NonZero<usize>>, twins: usize) -> 
         _ => String::new(),
     };
     let twins = if twins > 0 { format!(" and {}", count(twins, "twin")) } else { String::new() };
-    format!("{decisions}, {} with alternatives{twins}{seeds}\n\n{}{more}", count(runs, "run"), table.render("  "))
+    format!(
+        "{decisions}, {} with alternatives{twins}{seeds}\n\n{}{more}",
+        count(runs, "run"),
+        table.render("  ")
+    )
 }
 
 /// Returns the first cells of a decision's row.

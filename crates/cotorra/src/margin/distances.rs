@@ -29,19 +29,37 @@ fn cost(DistanceCost { plugin, distance, pairs, void, services }: &DistanceCost)
         let above = format!("above {service_time_target_ms} ms, %");
         let rows = [
             (above.as_str(), with.above_target, without.above_target, regret.above_target, 100.0),
-            ("p99, ms", with.service_time_p99_ms, without.service_time_p99_ms, regret.service_time_p99_ms, 1.0),
-            ("median, ms", with.service_time_p50_ms, without.service_time_p50_ms, regret.service_time_p50_ms, 1.0),
+            (
+                "p99, ms",
+                with.service_time_p99_ms,
+                without.service_time_p99_ms,
+                regret.service_time_p99_ms,
+                1.0,
+            ),
+            (
+                "median, ms",
+                with.service_time_p50_ms,
+                without.service_time_p50_ms,
+                regret.service_time_p50_ms,
+                1.0,
+            ),
         ];
         for (place, (figure, with, without, regret, factor)) in rows.into_iter().enumerate() {
             let name = if place == 0 { format!("{service} of {robot}") } else { String::new() };
-            let of = |figure: Option<f64>| figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor));
+            let of = |figure: Option<f64>| {
+                figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor))
+            };
             let p = regret.and_then(|regret| regret.p).map_or_else(|| "-".to_owned(), shown_p);
             table.row([name, figure.to_owned(), of(with), of(without), paired(regret, factor), p]);
         }
     }
-    let void = void.as_ref().map(|void| format!("A pair does not count: the twin is {void}.\n")).unwrap_or_default();
+    let void =
+        void.as_ref().map(|void| format!("A pair does not count: the twin is {void}.\n")).unwrap_or_default();
     let pairs = count(*pairs, "seed");
-    format!("\nWhat the distance of {plugin} cost ({distance}), over {pairs}:\n\n{}{void}", table.render("  "))
+    format!(
+        "\nWhat the distance of {plugin} cost ({distance}), over {pairs}:\n\n{}{void}",
+        table.render("  ")
+    )
 }
 
 /// Lists what plug-ins decided beside the core.

@@ -13,7 +13,7 @@ use cotorra_experiments::{
     margin::{Grid, Kind, LOSS_UNITS, Margin, MarginError, Options},
     regret::RegretError,
 };
-use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time};
+use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time, inexact};
 
 use self::args::{MarginArgs, WhichDecision};
 use crate::{
@@ -106,13 +106,14 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
         pairs: !args.singles,
     };
     let (file, text) = (args.file.display().to_string(), loaded.text.clone());
+    let inexact = inexact(&loaded.testbed);
     let margin = Margin::new(&file, loaded.testbed, loaded.text, options).map_err(Error::from)?;
     let place = args.out.clone().unwrap_or_else(|| margin.default_folder(Path::new("margins")));
     if args.dry_run {
         output::print(&(show::plan(&margin, args, jobs) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (interrupts, journal) = open(args, &place, &text, seed)?;
+    let (interrupts, journal) = open(args, &place, (&text, inexact), seed)?;
     let mut progress = Progress::new(args.headless);
     let margins = margin.run(&journal, jobs, |done, of| {
         progress.show(done, of);
@@ -133,10 +134,11 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
 fn open(
     args: &MarginArgs,
     place: &Path,
-    text: &str,
+    (text, inexact): (&str, Option<String>),
     seed: u64,
 ) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
     let interrupts = signals::listen()?;
+    inexact.iter().for_each(|why| note!("{why}"));
     let journal = Journal::open(place)?.by(SOURCES);
     if args.fresh {
         journal.clear()?;
@@ -146,7 +148,7 @@ fn open(
     let mut words = args.given.clone();
     words.push(ManyInputs::TESTBED.to_owned());
     let seeds = (0..u64::from(args.seeds)).map(|number| seed.wrapping_add(number)).collect();
-    let made = Made { time: Time::Virtual, seeds, until: args.until };
+    let made = Made { time: Time::Virtual, inexact, seeds, until: args.until };
     origin::note(journal.path(), Repeat::Words(words), &made, &carried)?;
     Ok((interrupts, journal))
 }

@@ -103,7 +103,8 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
 fn old_context(summary: &Summary) -> String {
     let regrets = &summary.staleness_regret;
     if regrets.is_empty() && summary.plugins.iter().any(|plugin| !plugin.staleness.is_empty()) {
-        return "  What old context cost is in no single run: `cotorra run --simulate --twin` compares\n".to_owned();
+        return "  What old context cost is in no single run: `cotorra run --simulate --twin` compares\n"
+            .to_owned();
     }
     let of = |its: &StalenessRegret| {
         format!("\n{}", regret_table::describe(&format!("{}: {}", its.plugin, its.distance), &its.services))

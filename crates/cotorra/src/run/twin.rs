@@ -27,7 +27,8 @@ impl Stage {
         if far.is_empty() {
             return Err(Error::NoDistance.into());
         }
-        let twins: Vec<_> = far.into_iter().map(|spec| Twin::of(spec, loaded, base)).collect::<Result<_, _>>()?;
+        let twins: Vec<_> =
+            far.into_iter().map(|spec| Twin::of(spec, loaded, base)).collect::<Result<_, _>>()?;
         let (seed, until, history) = (options.seed, options.until, options.history.clone());
         let further = Options { captures: Vec::new(), recording: Default::default(), ..options.clone() };
         let mut finished = self.simulate_as(loaded, options, "", true)?;

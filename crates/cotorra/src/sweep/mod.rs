@@ -193,7 +193,9 @@ fn note(sweep: &Sweep, args: &SweepArgs, points: &[Point], text: &str, folder: &
     let mut seeds: Vec<_> = points.iter().map(|point| point.seed).collect();
     seeds.sort_unstable();
     seeds.dedup();
-    let made = Made { time: Time::Virtual, seeds, until: args.until };
+    let inexact = sweep.inexact().map_err(Error::Sweep)?;
+    inexact.iter().for_each(|why| note!("{why}"));
+    let made = Made { time: Time::Virtual, inexact, seeds, until: args.until };
     Ok(origin::note(folder, repeat, &made, &carried)?)
 }
 

@@ -14,7 +14,7 @@ use serde_json::Value;
 use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
 
 /// Statistics in names, before the unit.
-const STATISTICS: [&str; 8] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high"];
+const STATISTICS: [&str; 9] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high", "difference"];
 /// Prefixes of names in flat tables.
 const OF: [&str; 12] = [
     "odometry",
@@ -47,6 +47,9 @@ const NO_QUANTITIES: [&str; 14] = [
     "values",
     "walked",
 ];
+
+/// A distance, which a twin of the run does not have.
+const FAR: &str = "plugins.okpi.control_delay=100 ms";
 
 /// A testbed with a source of traffic of each protocol.
 const CARRIED: &str = "name: carried
@@ -260,9 +263,11 @@ fn every_figure_is_documented_with_its_unit() {
     for (file, more) in [
         ("margins.json", &["--until", "5s", "--change", "delay,loss", "--on", "R1-cloud"][..]),
         ("decisions.json", &["--until", "15s", "--decision", "all", "--set", "plugin=okpi", "--seeds", "3"]),
+        ("decisions.json", &["--until", "15s", "--decision", "1", "--set", "plugin=okpi", "--set", FAR]),
     ] {
         let mut margin = cotorra(["margin", "--headless", "--out"]);
-        let margin = margin.arg(searched.join(file)).args(more).arg(corridor()).output().unwrap();
+        let margin =
+            margin.arg(searched.join(file)).arg("--fresh").args(more).arg(corridor()).output().unwrap();
         assert!(margin.status.success(), "{}", stderr(&margin));
         let result = fs::read_to_string(searched.join(file).join(file)).unwrap();
         in_document(&serde_json::from_str(&result).unwrap(), used.entry("margins").or_default());

@@ -42,6 +42,7 @@ mod netem;
 mod netem_at_agents;
 mod netem_links;
 mod new;
+mod old_context;
 mod one_robot;
 mod outcome;
 mod plugin;

@@ -313,8 +313,7 @@ impl Regret {
         let batch = batch::run(journal, jobs, (&wanted, self.keys.file()), fork, |done| go_on(done, total))?;
         let mut go_on_with_twins = |done| go_on(forks + done, total);
         let twinned = self.make_twins(&twins, journal, jobs, &mut go_on_with_twins)?;
-        let (complete, void) =
-            (batch.is_whole() && twinned.is_whole(), batch.void() + twinned.void());
+        let (complete, void) = (batch.is_whole() && twinned.is_whole(), batch.void() + twinned.void());
         let runs = batch.made() + twinned.made();
         let mut forked = batch.done.into_iter();
         let mut examined: Vec<_> = decided
@@ -347,8 +346,19 @@ impl Regret {
         let resumed = batch.resumed + twinned.resumed;
         let mut again = batch.again;
         again.add(twinned.again);
-        let regrets =
-            Regrets { seed, seeds, services, examined, compared, distances, complete, runs, resumed, again, void };
+        let regrets = Regrets {
+            seed,
+            seeds,
+            services,
+            examined,
+            compared,
+            distances,
+            complete,
+            runs,
+            resumed,
+            again,
+            void,
+        };
         Ok(regrets)
     }
 

@@ -8,12 +8,17 @@ const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
 
 /// A robot that goes from A to B. `probing` attaches it to B, whose link to the server has this delay.
 fn regret(delay: &str) -> Regret {
+    regret_with(["3 ms", delay], "")
+}
+
+/// The same, with these delays of A and of B, and these keys of the plug-in.
+fn regret_with([a, b]: [&str; 2], plugin: &str) -> Regret {
     let lab = Lab {
         roaming: "instructed",
         b: Some(10),
-        links: &[("A, edge", "3 ms"), ("B, edge", delay)],
+        links: &[("A, edge", a), ("B, edge", b)],
         walk: "{ waypoints: [[0, 0], [10, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }",
-        rest: "plugins:\n  - { bundled: probing, settings: { interval: 2 s } }\n",
+        rest: &format!("plugins:\n  - {{ bundled: probing, settings: {{ interval: 2 s }}{plugin} }}\n"),
         ..Lab::default()
     };
     let text = lab.to_string();
@@ -134,4 +139,51 @@ fn a_regret_beside_a_void_run_is_unknown() {
     tried.push(Tried { target: "C".into(), stays: false, stood: None, refused: None, void: Some(void) });
     let examined = Examined::of(seed, decided, stood, tried);
     assert_eq!((examined.regret_kept, examined.regret_ms), (None, None));
+}
+
+/// The way from A is too slow, so that a decision that comes later costs samples.
+fn far(keys: &str, seeds: u32) -> Regrets {
+    let out = tempfile::tempdir().unwrap();
+    examine(&regret_with(["10 ms", "1 ms"], keys).seeds(seeds), out.path())
+}
+
+#[test]
+fn the_distance_of_a_plugin_costs_what_its_twin_beside_the_core_saves() {
+    let regrets = far(", control_delay: 700 ms", 3);
+    assert_eq!((regrets.runs, regrets.examined.len(), regrets.complete), (6, 3, true), "{regrets:?}");
+    for its in &regrets.examined {
+        let twin = its.twin.as_ref().unwrap();
+        assert_eq!((twin.gave, twin.instruction.as_ref()), (TwinGave::Same, Some(&its.decided.instruction)));
+        // The ways there and back, and no more than a further scan.
+        assert!((700.0..3500.0).contains(&twin.earlier_ms.unwrap()), "{twin:?}");
+        assert_eq!(its.decided.at.since(twin.at.unwrap()).as_secs_f64() * 1e3, twin.earlier_ms.unwrap());
+    }
+    let [cost] = &regrets.distances[..] else { panic!("{regrets:?}") };
+    assert_eq!((cost.plugin.as_str(), cost.pairs, cost.void.is_none()), ("probing", 3, true));
+    assert_eq!(cost.distance.to_string(), "control_delay 700 ms");
+    let [service] = &cost.services[..] else { panic!("{cost:?}") };
+    let above = service.regret.above_target.unwrap();
+    let (with, without) = (service.with.above_target.unwrap(), service.without.above_target.unwrap());
+    assert!(above.mean > 0.03 && above.low.unwrap() > 0.0, "{service:?}");
+    assert!((with - without - above.mean).abs() < 1e-12, "{service:?}");
+    assert!(above.p.unwrap() < 0.05, "{service:?}");
+}
+
+#[test]
+fn without_a_distance_there_is_no_twin() {
+    let json = |regrets: &Regrets| serde_json::to_value(regrets).unwrap();
+    let beside = far("", 1);
+    assert!(beside.distances.is_empty() && beside.examined[0].twin.is_none() && beside.runs == 1);
+    assert!(json(&beside).get("distances").is_none() && json(&beside)["examined"][0].get("twin").is_none());
+    assert_eq!(json(&far(", control_delay: 0 ms", 1)), json(&beside));
+    assert!(json(&far(", decides_in: 1 s", 1)).get("distances").is_some());
+}
+
+#[test]
+fn twins_are_resumed() {
+    let out = tempfile::tempdir().unwrap();
+    let regret = regret_with(["10 ms", "1 ms"], ", control_delay: 700 ms").seeds(2);
+    let (first, again) = (examine(&regret, out.path()), examine(&regret, out.path()));
+    assert_eq!((first.resumed, again.resumed, again.runs), (0, 4, 4));
+    assert_eq!((&first.distances, &first.examined), (&again.distances, &again.examined));
 }

@@ -9,17 +9,16 @@ use std::{
     },
 };
 
-use cotorra_graph::{Instruction, NodeId, PluginDistance, PluginId, PluginSpec, ServiceId, Testbed, Timestamp, millis};
+use cotorra_graph::{
+    Instruction, NodeId, PluginDistance, PluginId, PluginSpec, ServiceId, Testbed, Timestamp, millis,
+};
 use cotorra_measurements::regret::{ServiceFigures, ServiceTimes};
 use cotorra_numbers::holm;
 use cotorra_testbed::{Altered, Unrecorded, Void, beside_core, distant, is_same_subject};
 use cotorra_testbed_file::annotated;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Decided, Examined, LONGEST, Observer, Recorded, Regret, RegretError, Sample,
-    compared::Paired,
-};
+use super::{Decided, Examined, LONGEST, Observer, Recorded, Regret, RegretError, Sample, compared::Paired};
 use crate::{
     batch::{self, Batch, Maker, Wanted},
     journal::Journal,
@@ -108,7 +107,11 @@ pub(super) type Wants<'a> = (&'a PluginSpec, &'a Recorded);
 
 impl Regret {
     /// Returns the number of twins that decisions need.
-    pub fn count_twins(&self, recorded: &[Recorded], number: Option<NonZero<usize>>) -> Result<usize, RegretError> {
+    pub fn count_twins(
+        &self,
+        recorded: &[Recorded],
+        number: Option<NonZero<usize>>,
+    ) -> Result<usize, RegretError> {
         Ok(self.twins(&super::select(recorded, number)?).len())
     }
 
@@ -202,12 +205,15 @@ impl Regret {
             let is_its = |(spec, run): &Wants<'_>| spec.id == its.decided.plugin && run.seed == its.seed;
             let twin = pairs().find(|(wants, _)| is_its(wants)).and_then(|(_, outcome)| measured(outcome));
             let run = recorded.iter().find(|run| run.seed == its.seed);
-            its.twin = twin.zip(run).map(|(twin, run)| TwinDecision::of(&its.decided, &run.decided, &twin.decided));
+            its.twin =
+                twin.zip(run).map(|(twin, run)| TwinDecision::of(&its.decided, &run.decided, &twin.decided));
         }
         let cost = |spec: &PluginSpec| {
             let its = || pairs().filter(|((of, _), _)| of.id == spec.id);
             let both: Vec<_> = its()
-                .filter_map(|((_, run), outcome)| Some((self.figures(&run.samples), measured(outcome)?.services)))
+                .filter_map(|((_, run), outcome)| {
+                    Some((self.figures(&run.samples), measured(outcome)?.services))
+                })
                 .collect();
             let void = its().find_map(|(_, outcome)| outcome.as_ref()?.void().cloned());
             let services = self.services.iter().filter_map(|service| self.cost(service, &both)).collect();
@@ -221,7 +227,11 @@ impl Regret {
     }
 
     /// Returns what a distance cost a service; `None` without samples.
-    fn cost(&self, id: &ServiceId, pairs: &[(Vec<ServiceFigures>, Vec<ServiceFigures>)]) -> Option<ServiceCost> {
+    fn cost(
+        &self,
+        id: &ServiceId,
+        pairs: &[(Vec<ServiceFigures>, Vec<ServiceFigures>)],
+    ) -> Option<ServiceCost> {
         let place = self.testbed.services.iter().position(|service| service.id == *id)?;
         let service = &self.testbed.services[place];
         let pairs: Vec<_> = pairs.iter().map(|(with, without)| (with[place], without[place])).collect();
@@ -345,10 +355,7 @@ mod tests {
             [(TwinGave::Same, Some(200)), (TwinGave::Other, Some(1200)), (TwinGave::Same, Some(-300))]
         );
         // The twin had one decision less, and it is nearer to the first.
-        assert_eq!(
-            gave(&run[..2], &[(10.0, "B")]),
-            [(TwinGave::Other, Some(200)), (TwinGave::None, None)]
-        );
+        assert_eq!(gave(&run[..2], &[(10.0, "B")]), [(TwinGave::Other, Some(200)), (TwinGave::None, None)]);
         assert_eq!(gave(&run[..1], &[]), [(TwinGave::None, None)]);
     }
 }

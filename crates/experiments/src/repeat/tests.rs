@@ -7,7 +7,7 @@ fn results(folder: &Path, time: Time, words: &[&str], files: &[(&str, String)]) 
     fs::create_dir_all(folder).unwrap();
     let repeat = Repeat::Words(words.iter().map(|word| (*word).to_owned()).collect());
     let origin = Origin { repeat, ..Origin::default() };
-    let made = Made { time, seeds: vec![1], until: None };
+    let made = Made { time, inexact: None, seeds: vec![1], until: None };
     Manifest::begin(folder, &origin, &made, &Inputs::default()).unwrap();
     files.iter().for_each(|(name, text)| fs::write(folder.join(name), text).unwrap());
     Manifest::complete(folder).unwrap();

@@ -158,6 +158,19 @@ impl Sweep {
         Ok(self.plan("")?.points())
     }
 
+    /// Returns why runs do not repeat to the byte; `None` if all do.
+    ///
+    /// # Errors
+    /// As [`Self::points`].
+    pub fn inexact(&self) -> Result<Option<String>, SweepError> {
+        for values in axis::combinations(&self.axes) {
+            if let Some(why) = cotorra_testbed::inexact(&self.testbed(&values)?) {
+                return Ok(Some(why));
+            }
+        }
+        Ok(None)
+    }
+
     /// Returns the plan of a program of this version.
     fn plan(&self, version: &str) -> Result<Plan, SweepError> {
         let (mut first_seeds, mut keys) = (Vec::new(), Vec::new());

@@ -121,8 +121,10 @@ pub(crate) fn regrets(
     targets: &Targets,
 ) -> Result<Vec<ServiceRegret>> {
     let [with, mut without] = [times(with)?, times(without)?];
-    let mut both: BTreeMap<_, _> =
-        with.into_iter().map(|(of, times)| (of.clone(), [times, without.remove(&of).unwrap_or_default()])).collect();
+    let mut both: BTreeMap<_, _> = with
+        .into_iter()
+        .map(|(of, times)| (of.clone(), [times, without.remove(&of).unwrap_or_default()]))
+        .collect();
     both.extend(without.into_iter().map(|(of, times)| (of, [ServiceTimes::default(), times])));
     let regret = |((service, robot), [with, without]): (_, [ServiceTimes; 2])| {
         let service_time_target_ms = millis::of(*targets.get(&service)?);

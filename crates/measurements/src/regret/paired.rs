@@ -48,7 +48,8 @@ impl Slotted {
 
     /// Returns the figures if each slot counts so many times.
     fn figures(&self, times: &[u64]) -> Figures {
-        let sum = |of: usize| self.counts.iter().zip(times).map(|(counts, times)| counts[of] * times).sum::<u64>();
+        let sum =
+            |of: usize| self.counts.iter().zip(times).map(|(counts, times)| counts[of] * times).sum::<u64>();
         let samples = sum(0);
         let above = (samples > 0).then(|| sum(1) as f64 / samples as f64);
         let [p50, p99] = self.quantiles(times);
@@ -105,10 +106,11 @@ impl Paired {
             [figures.above_target, figures.service_time_p50_ms, figures.service_time_p99_ms]
         };
         let intervals = self.intervals();
-        let mut apart = of(with).into_iter().zip(of(without)).zip(intervals).map(|((with, without), interval)| {
-            let (low, high) = (interval.map(|its| its.low), interval.map(|its| its.high));
-            Some(Apart { difference: with? - without?, low, high })
-        });
+        let mut apart =
+            of(with).into_iter().zip(of(without)).zip(intervals).map(|((with, without), interval)| {
+                let (low, high) = (interval.map(|its| its.low), interval.map(|its| its.high));
+                Some(Apart { difference: with? - without?, low, high })
+            });
         let mut next = || apart.next().flatten();
         FiguresApart { above_target: next(), service_time_p50_ms: next(), service_time_p99_ms: next() }
     }
@@ -135,7 +137,8 @@ impl Paired {
     /// Returns the mean length of blocks: the longer of those for the means and for the shares above the target.
     fn block_length(&self) -> f64 {
         let [with, without] = &self.runs;
-        let apart = |(with, without): (Option<f64>, Option<f64>)| with.zip(without).map_or(0.0, |(a, b)| a - b);
+        let apart =
+            |(with, without): (Option<f64>, Option<f64>)| with.zip(without).map_or(0.0, |(a, b)| a - b);
         let shares = |run: &Slotted| -> Vec<Option<f64>> {
             let share = |[of, above]: &[u64; 2]| (*of > 0).then(|| *above as f64 / *of as f64);
             run.counts.iter().map(share).collect()
@@ -183,7 +186,10 @@ mod tests {
         let wave = |more: f64| move |i: u64| Some(10.0 + 4.0 * (i as f64 / 200.0).sin() + more);
         let found = apart(&run(120, wave(2.0)), &run(120, wave(0.0))).service_time_p50_ms.unwrap();
         assert!((found.difference - 2.0).abs() < 1e-9, "{found:?}");
-        assert!((found.low.unwrap() - 2.0).abs() < 1e-9 && (found.high.unwrap() - 2.0).abs() < 1e-9, "{found:?}");
+        assert!(
+            (found.low.unwrap() - 2.0).abs() < 1e-9 && (found.high.unwrap() - 2.0).abs() < 1e-9,
+            "{found:?}"
+        );
     }
 
     #[test]
@@ -217,7 +223,8 @@ mod tests {
     #[test]
     fn intervals_of_runs_without_a_difference_hold_zero_in_most_cases() {
         let holds = |pair: &u64| {
-            let found = apart(&noisy(2 * pair, 0.0, 60), &noisy(2 * pair + 1, 0.0, 60)).service_time_p50_ms.unwrap();
+            let found =
+                apart(&noisy(2 * pair, 0.0, 60), &noisy(2 * pair + 1, 0.0, 60)).service_time_p50_ms.unwrap();
             found.low.unwrap() <= 0.0 && 0.0 <= found.high.unwrap()
         };
         let count = (0..40).filter(holds).count();

@@ -21,6 +21,7 @@ mod awake;
 mod capability;
 mod clock;
 mod confine;
+mod cpu_time;
 mod datapath;
 mod engine;
 mod error;

@@ -13,12 +13,14 @@ use std::{
     },
     path::{Path, PathBuf},
     process::{self, Command, ExitStatus},
+    time::Duration,
 };
 
 use cotorra_graph::{HardwareGraph, HostAddress};
 
 use crate::{
     confine::Confinement,
+    cpu_time,
     error::{Action, Error},
     init::{self, Init},
     namespace::{Namespace, on_a_thread},
@@ -77,6 +79,15 @@ impl Child {
     /// Returns the ID of the init process, which stands for the program and its descendants.
     pub fn id(&self) -> u32 {
         self.init.id()
+    }
+
+    /// Returns the CPU time that the program and its descendants have used, to the nanosecond, but for descendants that have
+    /// ended, of which the kernel counts ticks.
+    ///
+    /// # Errors
+    /// The system's error, as if the program has ended, or if the kernel does not tell the children of a process.
+    pub fn cpu_time(&self) -> io::Result<Duration> {
+        cpu_time::of_tree(self.id())
     }
 
     /// Waits for the program to end. Its descendants end with it. A program killed by signal n has exit code 128 + n,

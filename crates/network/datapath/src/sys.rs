@@ -90,6 +90,26 @@ pub(crate) fn open_process(process: c_int) -> io::Result<OwnedFd> {
     unsafe { own(libc::syscall(libc::SYS_pidfd_open, process, 0) as c_int) }
 }
 
+/// `clock_getcpuclockid` and `clock_gettime`: the CPU time of all threads of a process.
+pub(crate) fn cpu_time(process: c_int) -> io::Result<Duration> {
+    let mut clock = 0;
+    // SAFETY: writes to `clock`, which outlives the call.
+    match unsafe { libc::clock_getcpuclockid(process, &raw mut clock) } {
+        0 => {}
+        error => return Err(io::Error::from_raw_os_error(error)),
+    }
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: writes to `time`, which outlives the call.
+    check(unsafe { libc::clock_gettime(clock, &raw mut time) })?;
+    Ok(Duration::new(time.tv_sec.cast_unsigned(), time.tv_nsec as u32))
+}
+
+/// `sysconf(_SC_CLK_TCK)`.
+pub(crate) fn ticks_per_second() -> u32 {
+    // SAFETY: takes no pointer, and cannot fail for this name.
+    unsafe { libc::sysconf(libc::_SC_CLK_TCK) as u32 }
+}
+
 /// `pidfd_send_signal`.
 pub(crate) fn send_signal(process: BorrowedFd<'_>, signal: c_int) -> io::Result<()> {
     let nothing = std::ptr::null::<c_void>();

@@ -3,7 +3,8 @@
 use std::collections::HashSet;
 
 use cotorra_graph::{
-    BUNDLED_PLUGINS, InstructionLimit, NodeId, PluginDistance, PluginId, PluginProgram, PluginSpec, Way,
+    BUNDLED_PLUGINS, DecidesIn, InstructionLimit, NodeId, PluginDistance, PluginId, PluginProgram,
+    PluginSpec, Way,
 };
 
 use super::builder::{Builder, each};
@@ -98,13 +99,25 @@ impl Builder<'_> {
                 .error(span, "this plug-in reads the history, which has no distance from the core")
                 .help("leave out `delays: history`, or `node` and `control_delay`");
         }
+        let decides_in = record.decides_in.value.0;
+        if decides_in.is_some_and(DecidesIn::is_measured)
+            && matches!(program, Some(PluginProgram::Bundled(_)))
+        {
+            self.sink
+                .error(&record.decides_in.span, "only of a program is the CPU time measured")
+                .help(
+                    "a bundled plug-in runs on the threads of virtual time, and its runs repeat to the byte: write a duration, \
+                     such as `decides_in: 5 ms`",
+                );
+            return None;
+        }
         Some(PluginSpec {
             id: id?,
             program: program?,
             domain: domain?,
             optional: record.optional,
             instructions_per_second: record.instructions_per_second,
-            distance: PluginDistance { way: way?, decides_in: record.decides_in },
+            distance: PluginDistance { way: way?, decides_in },
             env: env?,
             settings: record.settings.clone(),
         })

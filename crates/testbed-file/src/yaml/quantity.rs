@@ -8,7 +8,9 @@ use super::{
     Sink,
     decode::{Decode, Node, expected, nearest, words},
 };
-use cotorra_graph::{BitRate, Correlation, Dbm, FixedRate, Probability, QueueLimit, Rate, UdpRate};
+use cotorra_graph::{
+    BitRate, Correlation, CpuFactor, Dbm, DecidesIn, FixedRate, Probability, QueueLimit, Rate, UdpRate,
+};
 
 /// A ratio in dB, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -245,6 +247,38 @@ quantity!(QueueLimit, QUEUE, |(amount, unit)| {
         Self::Bytes(amount.round() as u64)
     }
 });
+
+/// The time of a plug-in's decision: a duration, `cpu`, or a multiple of it; `None` for none.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct DecisionTime(pub Option<DecidesIn>);
+
+impl Decode for DecisionTime {
+    fn schema() -> Json {
+        json!({ "anyOf": [
+            DURATION.schema(),
+            { "type": "string", "pattern": "^([0-9]*\\.?[0-9]+x )?cpu$", "examples": ["cpu", "2.5x cpu"] },
+        ] })
+    }
+
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let Some(factor) = node.plain().and_then(|text| text.strip_suffix("cpu")) else {
+            return Duration::decode(node, sink).map(|time| Self(DecidesIn::fixed(time)));
+        };
+        let factor = match factor.trim_end() {
+            "" => Some(CpuFactor::ONE),
+            times => times.strip_suffix('x').and_then(|times| CpuFactor::new(times.trim_end().parse().ok()?)),
+        };
+        if factor.is_none() {
+            expected(
+                node,
+                "the CPU time that a decision takes",
+                &format!("write `cpu`, or a multiple up to {} such as `2.5x cpu`", CpuFactor::MOST),
+                sink,
+            );
+        }
+        factor.map(|factor| Self(Some(DecidesIn::Cpu { factor })))
+    }
+}
 
 impl Decode for BitRate {
     fn schema() -> Json {

@@ -44,6 +44,9 @@ pub struct Manifest {
     pub commit: String,
     pub machine: Machine,
     pub time: Time,
+    /// Why results in virtual time do not repeat to the byte, if they do not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inexact: Option<String>,
     /// Seeds of all runs.
     pub seeds: Vec<u64>,
     /// End of each run that did not end before, seconds.
@@ -114,6 +117,8 @@ pub struct Origin {
 #[derive(Debug, Clone)]
 pub struct Made {
     pub time: Time,
+    /// Why results in virtual time do not repeat to the byte, if they do not.
+    pub inexact: Option<String>,
     pub seeds: Vec<u64>,
     pub until: Option<Duration>,
 }
@@ -224,6 +229,8 @@ impl Manifest {
             (path.clone(), digest.flatten())
         });
         let Origin { command, commit, repeat } = origin.clone();
+        // A repeat in virtual time is compared to the byte.
+        let repeat = made.inexact.clone().map_or(repeat, Repeat::Not);
         let manifest = Self {
             command,
             repeat,
@@ -231,6 +238,7 @@ impl Manifest {
             commit,
             machine: Machine::this(),
             time: made.time,
+            inexact: made.inexact.clone(),
             seeds: made.seeds.clone(),
             until_s: made.until.map(|until| until.as_secs_f64()),
             started_at: chrono::Local::now().to_rfc3339_opts(chrono::SecondsFormat::Secs, false),
@@ -369,7 +377,8 @@ mod tests {
     use super::*;
 
     fn begun(folder: &Path, inputs: &Inputs) -> Manifest {
-        let made = Made { time: Time::Virtual, seeds: vec![1], until: Some(Duration::from_millis(1500)) };
+        let (time, inexact, until) = (Time::Virtual, None, Some(Duration::from_millis(1500)));
+        let made = Made { time, inexact, seeds: vec![1], until };
         Manifest::begin(folder, &Origin::default(), &made, inputs).unwrap()
     }
 

@@ -16,6 +16,7 @@ use crate::{
     error::RunError,
     folder::manifest::{Inputs, Made, Manifest, Time},
     options::Options,
+    plugins,
     report::{FolderError, RunFolder, write_file},
 };
 
@@ -39,7 +40,8 @@ pub(crate) fn create(
     put_all(&files, path)?;
     let carried = files_in(path).map_err(|source| FolderError::new(path, source))?;
     let inputs = Inputs { files: carried, outside: outside(&text, path) };
-    let made = Made { time, seeds: vec![seed], until: options.until };
+    let inexact = plugins::inexact(testbed).filter(|_| time == Time::Virtual);
+    let made = Made { time, inexact, seeds: vec![seed], until: options.until };
     Manifest::begin(path, &options.origin, &made, &inputs)?;
     Ok((folder, text))
 }

@@ -34,6 +34,13 @@ pub enum PluginError {
         "plug-in `{0}` is a program with a `control_delay`, which only virtual time has: run with `--simulate`, or leave it out"
     )]
     FarProgram(PluginId),
+    /// The CPU time of a program, which its decisions take, is unknown.
+    #[error("plug-in `{plugin}`: cannot measure its CPU time (`decides_in: cpu`): {source}")]
+    CpuTime {
+        plugin: PluginId,
+        /// The system's error.
+        source: io::Error,
+    },
     /// The plug-in's program cannot be started.
     #[error("plug-in `{plugin}`: cannot start `{program}`: {source}")]
     Start {

@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, path::Path, sync::mpsc, time::Duration};
 
-use cotorra_graph::{PluginId, PluginProgram, Testbed, Timestamp};
+use cotorra_graph::{DecidesIn, PluginId, PluginProgram, Testbed, Timestamp};
 use cotorra_network_control::InstructionError;
 
 use super::{
@@ -60,6 +60,8 @@ pub(crate) struct ExternalPlugins {
     /// Dropped before the processes: streams end first, so that a program can exit by itself.
     server: Server,
     processes: BTreeMap<PluginId, Process>,
+    /// CPU time of each program whose decisions are measured, when it was last sent events.
+    used_before: BTreeMap<PluginId, Duration>,
     inbox: mpsc::Receiver<Message>,
     wall: Clock,
 }
@@ -74,7 +76,7 @@ impl ExternalPlugins {
         let (core, inbox) = mpsc::channel();
         let mut server = Server::start(listener, context(core), tokens)?;
         server.open();
-        Ok(Self { server, processes: BTreeMap::new(), inbox, wall })
+        Ok(Self { server, processes: BTreeMap::new(), used_before: BTreeMap::new(), inbox, wall })
     }
 
     /// Starts the programs of a testbed. Time waits for them from now on.
@@ -87,6 +89,12 @@ impl ExternalPlugins {
         for spec in &testbed.plugins {
             if let PluginProgram::Command(words) = &spec.program {
                 let process = Process::start(spec, words, &testbed.folder, &self.server, logs)?;
+                if spec.distance.decides_in.is_some_and(DecidesIn::is_measured) {
+                    let used = process.cpu_time();
+                    let used =
+                        used.map_err(|source| PluginError::CpuTime { plugin: spec.id.clone(), source })?;
+                    self.used_before.insert(spec.id.clone(), used);
+                }
                 self.processes.insert(spec.id.clone(), process);
                 host.expect(spec.id.clone());
             }
@@ -106,7 +114,9 @@ impl ExternalPlugins {
         }
         let now = stage.now();
         stage.host().wake(now);
-        while let Some(program) = stage.host().next_awaited(now) {
+        while let Some(program) = stage.host().next_awaited() {
+            self.begin_decision(&program);
+            stage.host().flush(now, &program);
             if !stage.goes_on() || !self.wait_for(&program, stage) {
                 return false;
             }
@@ -159,6 +169,24 @@ impl ExternalPlugins {
         true
     }
 
+    /// Notes the CPU time of a program that is about to get events, if its decisions are measured.
+    fn begin_decision(&mut self, program: &PluginId) {
+        if let Some(before) = self.used_before.get_mut(program)
+            && let Some(process) = self.processes.get(program)
+            // One that has ended uses no more, and is cut off soon.
+            && let Ok(used) = process.cpu_time()
+        {
+            *before = used;
+        }
+    }
+
+    /// Returns the CPU time that a program has used since it got events, if its decisions are measured.
+    fn used(&self, program: &PluginId) -> Option<Duration> {
+        let before = *self.used_before.get(program)?;
+        let now = self.processes.get(program)?.cpu_time().ok()?;
+        Some(now.saturating_sub(before))
+    }
+
     /// Cuts off programs that have ended.
     pub(crate) fn cut_off_ended(&mut self, stage: &mut impl Stage) {
         let ended = self.processes.iter_mut().filter_map(|(id, p)| Some((id.clone(), p.fault()?)));
@@ -172,6 +200,7 @@ impl ExternalPlugins {
         match message {
             Message::Follow(follower) => {
                 let (id, now) = (follower.plugin.clone(), stage.now());
+                self.begin_decision(&id);
                 stage.host().follow(now, follower);
                 Some(id)
             }
@@ -180,6 +209,9 @@ impl ExternalPlugins {
             }
             Message::Instruct { given, reply } => {
                 let plugin = given.plugin.clone();
+                if let Some(used) = self.used(&plugin) {
+                    stage.host().decide_in(&plugin, used);
+                }
                 let done = stage.instruct(given);
                 self.end_cut_off(stage);
                 if let Some(reply) = reply {

@@ -458,6 +458,11 @@ impl PluginHost {
         self.travel.next_context(now, plugin)
     }
 
+    /// Sets the CPU time that a program has used for the decision that it makes now, if that is measured.
+    pub(crate) fn decide_in(&mut self, plugin: &PluginId, used: Duration) {
+        self.travel.decide_in(plugin, used);
+    }
+
     /// Returns when a plug-in is free to decide.
     pub(crate) fn free_at(&self, plugin: &PluginId) -> Timestamp {
         self.travel.free_at(plugin)
@@ -546,11 +551,15 @@ impl PluginHost {
         wakes.chain(self.travel.next_context_at_programs()).min()
     }
 
-    /// Sends programs their events, and returns the first program that time waits for.
-    pub(crate) fn next_awaited(&mut self, now: Timestamp) -> Option<PluginId> {
-        let program = self.programs.iter_mut().find(|program| program.is_waited_for())?;
-        program.flush(now, &mut self.marks);
-        Some(program.id.clone())
+    /// Returns the first program that time waits for.
+    pub(crate) fn next_awaited(&self) -> Option<PluginId> {
+        self.programs.iter().find(|program| program.is_waited_for()).map(|program| program.id.clone())
+    }
+
+    /// Sends a program its events.
+    pub(crate) fn flush(&mut self, now: Timestamp, plugin: &PluginId) {
+        let program = self.programs.iter_mut().find(|program| program.id == *plugin);
+        program.into_iter().for_each(|program| program.flush(now, &mut self.marks));
     }
 
     /// Whether a program has not returned its mark yet, or does not follow yet.

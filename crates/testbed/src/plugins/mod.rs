@@ -19,6 +19,7 @@ mod travel;
 pub(crate) use bundled::{Bundled, reads_history, rehearse};
 pub use error::PluginError;
 pub use panic::panic_text;
+pub use programs::inexact;
 pub(crate) use programs::{check_programs, programs};
 pub(crate) use travel::{Datagram, Travel};
 

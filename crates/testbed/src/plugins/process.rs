@@ -6,6 +6,7 @@ use std::{
     os::unix::process::ExitStatusExt as _,
     path::Path,
     process::{ExitStatus, Stdio},
+    time::Duration,
 };
 
 use cotorra_datapath::{Child, spawn_outside};
@@ -57,6 +58,11 @@ impl Process {
             program: program.clone(),
             source,
         })
+    }
+
+    /// Returns the CPU time that it and everything that it started have used.
+    pub(super) fn cpu_time(&self) -> io::Result<Duration> {
+        self.child.cpu_time()
     }
 
     /// Returns the fault if the process does not run any more.

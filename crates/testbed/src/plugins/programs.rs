@@ -2,7 +2,7 @@
 
 use std::{env, io};
 
-use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed};
+use cotorra_graph::{DecidesIn, PluginId, PluginProgram, PluginSpec, Testbed};
 
 use super::error::PluginError;
 
@@ -10,6 +10,19 @@ use super::error::PluginError;
 pub(crate) fn programs(testbed: &Testbed) -> impl Iterator<Item = &PluginId> {
     let is_program = |spec: &&PluginSpec| matches!(spec.program, PluginProgram::Command(_));
     testbed.plugins.iter().filter(is_program).map(|spec| &spec.id)
+}
+
+/// Returns why runs of a testbed in virtual time do not repeat to the byte; `None` if they do.
+pub fn inexact(testbed: &Testbed) -> Option<String> {
+    let is_measured = |spec: &&PluginSpec| spec.distance.decides_in.is_some_and(DecidesIn::is_measured);
+    let measured = testbed.plugins.iter().filter(is_measured).map(|spec| format!("`{}`", spec.id));
+    let measured: Vec<_> = measured.collect();
+    (!measured.is_empty()).then(|| {
+        format!(
+            "times of decisions were measured (`decides_in: cpu` of {}): repeats differ",
+            measured.join(", ")
+        )
+    })
 }
 
 /// Checks that the programs of plug-ins exist.

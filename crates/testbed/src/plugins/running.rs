@@ -324,7 +324,7 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cotorra_graph::{Event, Instruction, NodeId, PluginDistance};
+    use cotorra_graph::{DecidesIn, Event, Instruction, NodeId, PluginDistance};
     use cotorra_graph_testing as base;
 
     struct Scripted(fn(&mut Actions));
@@ -372,7 +372,7 @@ mod tests {
             domain: None,
             optional: false,
             instructions_per_second: Default::default(),
-            distance: PluginDistance { way, decides_in: Duration::from_secs(9) },
+            distance: PluginDistance { way, decides_in: DecidesIn::fixed(Duration::from_secs(9)) },
             env: Vec::new(),
             settings: Default::default(),
         }

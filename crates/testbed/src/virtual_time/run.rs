@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
+use cotorra_graph::{Event, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
 use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording};
@@ -165,6 +165,10 @@ pub(super) fn simulate_with(
         go_on,
         stopped: false,
     };
+    if let Some(message) = plugins::inexact(&testbed) {
+        let at = recorded.simulation.now();
+        recorded.publish(Arc::new(Stamped { at, event: Event::Notice { message } }));
+    }
     let mut external = None;
     if watched.is_some() || programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));

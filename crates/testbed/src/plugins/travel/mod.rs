@@ -12,7 +12,9 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Staleness, Stamped, Timestamp, Way};
+use cotorra_graph::{
+    CpuFactor, DecidesIn, PluginId, PluginProgram, PluginSpec, Staleness, Stamped, Timestamp, Way,
+};
 
 pub(crate) use self::datagrams::Datagram;
 use self::{
@@ -39,7 +41,10 @@ struct Decided {
 struct Away {
     is_program: bool,
     way: Carrier,
+    /// Time of a decision; of a measured one, of that which it makes now.
     decides_in: Duration,
+    /// Factor of measured times.
+    measured: Option<CpuFactor>,
     /// End of its current decision.
     free_at: Timestamp,
     /// Contexts with their times of arrival, in order.
@@ -65,7 +70,7 @@ impl Travel {
     /// Creates the state of plug-ins in real time, where decisions take the time that plug-ins take.
     pub(crate) fn in_real_time(plugins: &[PluginSpec]) -> Self {
         let far = plugins.iter().filter(|spec| spec.distance.way != Way::None).map(Away::of);
-        let at_once = |(id, away)| (id, Away { decides_in: Duration::ZERO, ..away });
+        let at_once = |(id, away)| (id, Away { decides_in: Duration::ZERO, measured: None, ..away });
         Self { away: far.map(at_once).collect() }
     }
 
@@ -98,6 +103,15 @@ impl Travel {
     pub(crate) fn next_context_of_programs(&mut self, now: Timestamp) -> Option<(PluginId, Arc<Stamped>)> {
         let mut programs = self.away.iter_mut().filter(|(_, away)| away.is_program);
         programs.find_map(|(id, away)| Some((id.clone(), away.next_context(now)?)))
+    }
+
+    /// Sets the CPU time that a program has used for the decision that it makes now, if that is measured.
+    pub(crate) fn decide_in(&mut self, plugin: &PluginId, used: Duration) {
+        if let Some(away) = self.away.get_mut(plugin)
+            && let Some(factor) = away.measured
+        {
+            away.decides_in = factor.of(used);
+        }
     }
 
     /// Sends an instruction of a plug-in to the core, after the time of its decision. Returns it if the plug-in is not away.
@@ -180,7 +194,12 @@ impl Away {
             Way::Nodes { core, plugin } => Carrier::Network(Box::new(Datagrams::new(core, plugin))),
         };
         let is_program = matches!(spec.program, PluginProgram::Command(_));
-        let away = Self { way, decides_in: spec.distance.decides_in, ..Self::nowhere(is_program) };
+        let (decides_in, measured) = match spec.distance.decides_in {
+            None => (Duration::ZERO, None),
+            Some(DecidesIn::Fixed { time }) => (time, None),
+            Some(DecidesIn::Cpu { factor }) => (Duration::ZERO, Some(factor)),
+        };
+        let away = Self { way, decides_in, measured, ..Self::nowhere(is_program) };
         (spec.id.clone(), away)
     }
 
@@ -189,6 +208,7 @@ impl Away {
             is_program,
             way: Carrier::Delay(Duration::ZERO),
             decides_in: Duration::ZERO,
+            measured: None,
             free_at: Timestamp::ZERO,
             contexts: VecDeque::new(),
             known: Known::default(),

@@ -1,4 +1,4 @@
-use cotorra_graph::{ContextKind, Event, Instruction, InstructionLimit, PluginDistance};
+use cotorra_graph::{ContextKind, DecidesIn, Event, Instruction, InstructionLimit, PluginDistance};
 use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
@@ -19,7 +19,7 @@ fn travel(way: Way, decides_in: u64) -> Travel {
         domain: None,
         optional: false,
         instructions_per_second: InstructionLimit::default(),
-        distance: PluginDistance { way, decides_in: Duration::from_millis(decides_in) },
+        distance: PluginDistance { way, decides_in: DecidesIn::fixed(Duration::from_millis(decides_in)) },
         env: Vec::new(),
         settings: Default::default(),
     }])
