@@ -1,6 +1,7 @@
 //! What old context cost, for people: figures of services with the distances of plug-ins and without, and their differences.
 
-use cotorra_measurements::regret::{Apart, ServiceRegret};
+use cotorra_graph::{NodeId, ServiceId};
+use cotorra_measurements::regret::{Apart, ServiceFigures, ServiceRegret};
 
 use crate::{
     table::{Table, wrap},
@@ -10,36 +11,49 @@ use crate::{
 /// Columns of the sentences.
 const WIDTH: usize = 100;
 
+/// Figures of a service, with the distances of plug-ins and without.
+pub struct OfService<'a> {
+    pub service: &'a ServiceId,
+    pub robot: &'a NodeId,
+    pub target_ms: f64,
+    pub with: &'a ServiceFigures,
+    pub without: &'a ServiceFigures,
+}
+
+/// Heads of the cells of [`OfService::rows`].
+pub const HEADS: [&str; 4] = ["service", "figure", "with distance", "beside the core"];
+
+impl OfService<'_> {
+    /// Returns a row for each figure: the share above the target, the 99th percentile, and the median.
+    pub fn rows(&self) -> [[String; 4]; 3] {
+        let Self { service, robot, target_ms, with, without } = self;
+        let row = |name: String, figure: String, read: &dyn Fn(&ServiceFigures) -> Option<f64>| {
+            let of = |its| read(its).map_or("-".to_owned(), |figure| format!("{figure:.2}"));
+            [name, figure, of(with), of(without)]
+        };
+        let above = format!("above {target_ms} ms, %");
+        let none = String::new;
+        [
+            row(format!("{service} of {robot}"), above, &|its| its.above_target.map(|share| share * 100.0)),
+            row(none(), "p99, ms".to_owned(), &|its| its.service_time_p99_ms),
+            row(none(), "median, ms".to_owned(), &|its| its.service_time_p50_ms),
+        ]
+    }
+}
+
 /// Describes what these distances cost services.
 pub fn describe(distances: &str, services: &[ServiceRegret]) -> String {
     let mut table = Table::new("<<>>>");
-    table.row(["service", "figure", "with distance", "beside the core", "regret"]);
-    for its in services {
-        let ServiceRegret { service, robot, service_time_target_ms, with, without, regret } = its;
-        let above = format!("above {service_time_target_ms} ms, %");
-        let rows = [
-            (above.as_str(), with.above_target, without.above_target, regret.above_target, 100.0),
-            (
-                "p99, ms",
-                with.service_time_p99_ms,
-                without.service_time_p99_ms,
-                regret.service_time_p99_ms,
-                1.0,
-            ),
-            (
-                "median, ms",
-                with.service_time_p50_ms,
-                without.service_time_p50_ms,
-                regret.service_time_p50_ms,
-                1.0,
-            ),
+    table.row(HEADS.into_iter().chain(["regret"]));
+    for ServiceRegret { service, robot, service_time_target_ms, with, without, regret } in services {
+        let of = OfService { service, robot, target_ms: *service_time_target_ms, with, without };
+        let regrets = [
+            apart(regret.above_target, 100.0),
+            apart(regret.service_time_p99_ms, 1.0),
+            apart(regret.service_time_p50_ms, 1.0),
         ];
-        for (place, (figure, with, without, regret, factor)) in rows.into_iter().enumerate() {
-            let name = if place == 0 { format!("{service} of {robot}") } else { String::new() };
-            let of = |figure: Option<f64>| {
-                figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor))
-            };
-            table.row([name, figure.to_owned(), of(with), of(without), apart(regret, factor)]);
+        for (row, regret) in of.rows().into_iter().zip(regrets) {
+            table.row(row.into_iter().chain([regret]));
         }
     }
     let services =

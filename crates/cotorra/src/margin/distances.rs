@@ -5,6 +5,7 @@ use cotorra_numbers::Mean;
 
 use super::decisions::{LISTED, heads, paired, shown_p};
 use crate::{
+    regret_table::{HEADS, OfService},
     table::{Table, wrap},
     words::{count, signed},
 };
@@ -24,33 +25,17 @@ pub fn describe(distances: &[DistanceCost], examined: &[Examined], seeds: u32) -
 /// Describes what one distance cost.
 fn cost(DistanceCost { plugin, distance, pairs, void, services }: &DistanceCost) -> String {
     let mut table = Table::new("<<>>>>");
-    table.row(["service", "figure", "with distance", "beside the core", "regret", "p"]);
+    table.row(HEADS.into_iter().chain(["regret", "p"]));
     for ServiceCost { service, robot, service_time_target_ms, with, without, regret } in services {
-        let above = format!("above {service_time_target_ms} ms, %");
-        let rows = [
-            (above.as_str(), with.above_target, without.above_target, regret.above_target, 100.0),
-            (
-                "p99, ms",
-                with.service_time_p99_ms,
-                without.service_time_p99_ms,
-                regret.service_time_p99_ms,
-                1.0,
-            ),
-            (
-                "median, ms",
-                with.service_time_p50_ms,
-                without.service_time_p50_ms,
-                regret.service_time_p50_ms,
-                1.0,
-            ),
+        let of = OfService { service, robot, target_ms: *service_time_target_ms, with, without };
+        let regrets = [
+            (regret.above_target, 100.0),
+            (regret.service_time_p99_ms, 1.0),
+            (regret.service_time_p50_ms, 1.0),
         ];
-        for (place, (figure, with, without, regret, factor)) in rows.into_iter().enumerate() {
-            let name = if place == 0 { format!("{service} of {robot}") } else { String::new() };
-            let of = |figure: Option<f64>| {
-                figure.map_or("-".to_owned(), |figure| format!("{:.2}", figure * factor))
-            };
+        for (row, (regret, factor)) in of.rows().into_iter().zip(regrets) {
             let p = regret.and_then(|regret| regret.p).map_or_else(|| "-".to_owned(), shown_p);
-            table.row([name, figure.to_owned(), of(with), of(without), paired(regret, factor), p]);
+            table.row(row.into_iter().chain([paired(regret, factor), p]));
         }
     }
     let void =

@@ -311,7 +311,9 @@ impl Regret {
         let twins = self.twins(&decided);
         let (forks, total) = (wanted.len(), wanted.len() + twins.len());
         let batch = batch::run(journal, jobs, (&wanted, self.keys.file()), fork, |done| go_on(done, total))?;
-        let mut go_on_with_twins = |done| go_on(forks + done, total);
+        // Once stopped, it is not to go on.
+        let is_whole = batch.is_whole();
+        let mut go_on_with_twins = |done| is_whole && go_on(forks + done, total);
         let twinned = self.make_twins(&twins, journal, jobs, &mut go_on_with_twins)?;
         let (complete, void) = (batch.is_whole() && twinned.is_whole(), batch.void() + twinned.void());
         let runs = batch.made() + twinned.made();

@@ -13,16 +13,20 @@ fn at(ms: u64) -> Timestamp {
 }
 
 fn travel(way: Way, decides_in: u64) -> Travel {
-    Travel::in_virtual_time(&[PluginSpec {
+    Travel::in_virtual_time(&[spec(way, DecidesIn::fixed(Duration::from_millis(decides_in)))])
+}
+
+fn spec(way: Way, decides_in: Option<DecidesIn>) -> PluginSpec {
+    PluginSpec {
         id: id(),
         program: PluginProgram::Bundled("probing".to_owned()),
         domain: None,
         optional: false,
         instructions_per_second: InstructionLimit::default(),
-        distance: PluginDistance { way, decides_in: DecidesIn::fixed(Duration::from_millis(decides_in)) },
+        distance: PluginDistance { way, decides_in },
         env: Vec::new(),
         settings: Default::default(),
-    }])
+    }
 }
 
 fn delayed(control_delay: u64, decides_in: u64) -> Travel {
@@ -67,6 +71,25 @@ fn contexts_wait_while_the_plugin_decides() {
     travel.send_context(at(10), &id(), context("r", 10));
     assert!(travel.next_context(at(49), &id()).is_none());
     assert_eq!(travel.next_context(at(50), &id()), Some(context("r", 10)));
+}
+
+#[test]
+fn a_measured_decision_takes_its_cpu_time_times_the_factor() {
+    let factor = CpuFactor::new(2.5).unwrap();
+    let spec = spec(Way::None, Some(DecidesIn::Cpu { factor }));
+    let mut travel = Travel::in_virtual_time(std::slice::from_ref(&spec));
+    for (begins, used, ends) in [(0, 40, 100), (200, 4, 210)] {
+        travel.decide_in(&id(), Duration::from_millis(used));
+        assert_eq!(travel.send_instruction(at(begins), scan("r")), None);
+        assert_eq!((travel.free_at(&id()), travel.next_deadline()), (at(ends), Some(at(ends))));
+        assert!(travel.next_instruction(at(ends)).is_some());
+    }
+    // Others decide in the time of their file, and in real time nobody is charged.
+    let mut fixed = delayed(0, 7);
+    fixed.decide_in(&id(), Duration::from_millis(40));
+    fixed.send_instruction(at(0), scan("r"));
+    assert_eq!(fixed.next_deadline(), Some(at(7)));
+    assert!(!Travel::in_real_time(&[spec]).is_away(&id()));
 }
 
 #[test]
