@@ -197,11 +197,9 @@ plugins:
 
     #[test]
     fn settings_put_a_plugin_beside_the_core_whatever_its_distance_is() {
-        for settings in [
-            &[][..],
-            &["core.node=edge", "plugins.pace.control_delay=null", "plugins.pace.node=fog"],
-            &["plugins.pace.control_delay=0 ms"],
-        ] {
+        let pace_beside = ["plugins.pace.control_delay=0 ms", "plugins.pace.decides_in=0 ms"];
+        let on_a_node = [&pace_beside[..], &["core.node=edge", "plugins.probing.node=fog"]].concat();
+        for settings in [&[][..], &pace_beside[..1], &on_a_node[..]] {
             let far = with(settings);
             let [spec] = &distant(&far).collect::<Vec<_>>()[..] else { panic!("{settings:?}") };
             let beside = beside_core(spec);
@@ -212,7 +210,7 @@ plugins:
                 .collect();
             let beside = with(&beside.iter().map(String::as_str).collect::<Vec<_>>());
             assert_eq!(distant(&beside).count(), 0, "{settings:?}");
-            assert_eq!(check(&far, &beside), Ok(vec!["pace".parse().unwrap()]));
+            assert_eq!(check(&far, &beside), Ok(vec![spec.id.clone()]));
         }
     }
 

@@ -99,11 +99,11 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     text
 }
 
-/// Describes what old context cost, or says that this is unknown although the ages of contexts are there.
+/// Describes what old context cost. Without twins, says that only the ages of contexts are known.
 fn old_context(summary: &Summary) -> String {
     let regrets = &summary.staleness_regret;
     if regrets.is_empty() && summary.plugins.iter().any(|plugin| !plugin.staleness.is_empty()) {
-        return "  What old context cost is in no single run: `cotorra run --simulate --twin` compares\n"
+        return "  ages of contexts are above; what they cost needs the twin: `cotorra run --simulate --twin`\n"
             .to_owned();
     }
     let of = |its: &StalenessRegret| {
