@@ -1,4 +1,4 @@
-//! Random streams, and statistics of samples and of runs: quantiles, intervals, resampling and comparisons.
+//! Random streams and distributions, and statistics of samples and of runs: quantiles, intervals, resampling and comparisons.
 //!
 //! There is one definition of each figure. A quantile is that of type 7 of Hyndman and Fan, "Sample Quantiles in Statistical
 //! Packages" (The American Statistician 50(4), 1996): linear interpolation between closest ranks, as in NumPy, R and
@@ -10,6 +10,7 @@
 
 mod bootstrap;
 mod counted;
+mod distribution;
 mod draws;
 mod gathered;
 mod interval;
@@ -22,6 +23,7 @@ mod share;
 pub use self::{
     bootstrap::{Blocks, RESAMPLES, bootstrap, percentile_interval, resample},
     counted::Counted,
+    distribution::{Distribution, distance},
     draws::Draws,
     gathered::{Approximate, Gathered, Sorted},
     interval::Interval,
