@@ -346,6 +346,7 @@ impl Names {
             id: added_name(draw),
             program: Program::Command(vec!["serve".to_owned()]),
             cpus: draw.number(0.1, 2.0),
+            cpu_limit: None,
             memory_bytes: draw.whole(1..=1_000_000_000) as u64,
             pinned_to: None,
             node,
@@ -353,6 +354,8 @@ impl Names {
             rights: Rights::default(),
             keep: false,
             image: draw.chance(0.5).then(|| Box::new(image)),
+            start: Duration::ZERO,
+            computing: None,
         };
         Instruction::AddVnf { vnf: Box::new(vnf) }
     }

@@ -6,6 +6,7 @@ use std::{path::Path, time::Duration};
 use crate::{
     access::AccessPoint,
     active::ThroughputTest,
+    computing::{Computing, Demand},
     conditions::{ConditionChange, Loss, Rate, TraceName},
     container::Image,
     context::Velocity,
@@ -215,8 +216,28 @@ impl Bounded for ConditionChange {
 
 impl Bounded for Box<Vnf> {
     fn count(&self, _: &'static str, meter: &mut Meter) -> Result<(), TooLong> {
-        let Vnf { id, program, cpus, memory_bytes, pinned_to, node, env, rights, keep, image } = &**self;
-        fixed(&(cpus, memory_bytes, keep));
+        let Vnf {
+            id,
+            program,
+            cpus,
+            cpu_limit,
+            memory_bytes,
+            pinned_to,
+            node,
+            env,
+            rights,
+            keep,
+            image,
+            start,
+            computing,
+        } = &**self;
+        fixed(&(cpus, cpu_limit, memory_bytes, keep, start));
+        if let Some(Computing { demand, per_kb, scheduling, backlog, warm_up }) = computing.as_deref() {
+            fixed(&(per_kb, scheduling, backlog, warm_up));
+            if let Demand::Samples { samples } = demand {
+                meter.list("demand", samples.times(), MOST_OPPORTUNITIES)?;
+            }
+        }
         meter.name(id.as_str());
         pinned_to.iter().for_each(|node| meter.name(node.as_str()));
         meter.nodes(node);

@@ -377,9 +377,26 @@ pub struct Server {
     pub migration_cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
+    /// Speed of a CPU, as a multiple of that on which demands were measured; above 0.
+    #[serde(
+        rename = "cpu_speed",
+        default = "Server::usual_speed",
+        skip_serializing_if = "Server::is_usual_speed"
+    )]
+    pub speed: f64,
     /// The real machine that it is; `None` for an emulated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub real: Option<RealServer>,
+}
+
+impl Server {
+    fn usual_speed() -> f64 {
+        1.0
+    }
+
+    fn is_usual_speed(speed: &f64) -> bool {
+        *speed == 1.0
+    }
 }
 
 /// Distance of a server from the robots.

@@ -190,6 +190,7 @@ mod tests {
                 memory_cost: 0.0,
                 migration_cost: 0.0,
                 reliability: 1.0,
+                speed: 1.0,
                 real,
             }),
         )

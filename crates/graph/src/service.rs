@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    computing::Computing,
     container::Image,
     figure::{Bound, Total},
     flow::Flow,
@@ -76,6 +77,9 @@ pub struct Vnf {
     pub program: Program,
     /// CPUs that it takes of its node.
     pub cpus: f64,
+    /// Most CPUs that it uses; `None` for those that it takes of its node.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cpu_limit: Option<f64>,
     /// Memory that it takes of its node, bytes.
     pub memory_bytes: u64,
     /// The one node that can carry it, if it cannot move.
@@ -96,6 +100,25 @@ pub struct Vnf {
     /// command in the bundled VNF's place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image: Option<Box<Image>>,
+    /// Time from the start of a process until it serves, in virtual time. An image has its own.
+    #[serde(rename = "start_ms", with = "millis", default, skip_serializing_if = "Duration::is_zero")]
+    #[schema(value_type = f64)]
+    pub start: Duration,
+    /// How it computes its answers; `None` if that takes no time of a CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub computing: Option<Box<Computing>>,
+}
+
+impl Vnf {
+    /// Returns the most CPUs that an instance uses.
+    pub fn most_cpus(&self) -> f64 {
+        self.cpu_limit.unwrap_or(self.cpus)
+    }
+
+    /// Returns the time from a start until it serves, in virtual time.
+    pub fn start_time(&self) -> Duration {
+        self.image.as_ref().map_or(self.start, |image| image.start)
+    }
 }
 
 /// Rights of a VNF's command on the machine that runs the testbed.

@@ -450,6 +450,9 @@ fn added_vnf() -> impl Strategy<Value = Vnf> {
             rights: Rights::default(),
             keep: false,
             image,
+            cpu_limit: None,
+            start: Duration::ZERO,
+            computing: None,
         },
     )
 }

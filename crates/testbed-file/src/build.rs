@@ -5,6 +5,7 @@ mod access;
 mod border;
 mod builder;
 mod compose;
+mod computing;
 mod containers;
 mod flows;
 mod kobuki;

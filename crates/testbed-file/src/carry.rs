@@ -79,6 +79,8 @@ pub fn carry_all(texts: &[&str], folder: &Path, taken: &[&str]) -> (Vec<String>,
 pub(crate) enum Kind {
     Map,
     Trace,
+    /// Measured demands of a VNF.
+    Samples,
     Conditions,
     /// A file or a folder that a VNF may read.
     Readable,
@@ -159,6 +161,9 @@ pub(crate) fn named(root: &Node) -> Vec<(Kind, &Node)> {
     found.extend(composed.map(|node| (Kind::Compose, node)));
     let services = items(root, "services");
     let vnfs = services.flat_map(|its| items(its, "vnfs"));
+    let demands =
+        items(root, "services").flat_map(|its| items(its, "vnfs")).filter_map(|its| its.get("demand"));
+    found.extend(demands.filter_map(|its| its.get("samples")).map(|node| (Kind::Samples, node)));
     for program in vnfs.chain(items(root, "nodes")).chain(items(root, "plugins")) {
         if program.get("image").is_some() {
             // Words of its command are inside the image.
@@ -242,12 +247,14 @@ impl<'a> Luggage<'a> {
                 }
                 return None;
             }
-            Kind::Map | Kind::Trace | Kind::Compose if from.is_file() => self.note(from.clone(), false),
+            Kind::Map | Kind::Trace | Kind::Samples | Kind::Compose if from.is_file() => {
+                self.note(from.clone(), false)
+            }
             Kind::Conditions if from.is_dir() => self.note(from.clone(), false),
             _ => {}
         }
         let contents = match kind {
-            Kind::Map | Kind::Trace | Kind::Compose => {
+            Kind::Map | Kind::Trace | Kind::Samples | Kind::Compose => {
                 Some(Contents::Copy(from.is_file().then(|| from.clone())?))
             }
             Kind::Conditions => Some(Contents::Conditions(from.is_dir().then(|| from.clone())?)),

@@ -333,6 +333,9 @@ fn vnf(id: &VnfId, record: &ServiceRecord, folder: &Path, node: &NodeId, sink: &
         rights: Rights::Confined(Granted { capabilities, readable: Vec::new() }),
         keep: false,
         image: Some(Box::new(image)),
+        cpu_limit: None,
+        start: Duration::ZERO,
+        computing: None,
     })
 }
 

@@ -146,6 +146,17 @@ mod tests {
     }
 
     #[test]
+    fn measured_demands_are_depended_on_and_carried() {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("demand.csv"), "1.5\n").unwrap();
+        let text = "services: { s: { vnfs: { v: { image: x, demand: { samples: demand.csv } } } } }\n";
+        assert_eq!(files(text, place.path()), [("demand.csv".to_owned(), false)]);
+        let carried = crate::carry(text, place.path(), &[]);
+        let to: Vec<_> = carried.files.iter().map(|file| file.to.to_str().unwrap()).collect();
+        assert_eq!((carried.text.as_str(), to), (text, vec!["demand.csv"]));
+    }
+
+    #[test]
     fn programs_elsewhere_count_by_their_whole_path() {
         let place = place();
         let bed = place.path().join("maps");

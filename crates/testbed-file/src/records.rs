@@ -988,6 +988,8 @@ record! {
         migration_cost: Amount = 0,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
+        /// Speed of its CPUs, as a multiple of that on which demands were measured, in virtual time: docs/use/load.md.
+        speed: Spanned<Amount> = 1,
         /// The agent that starts VNFs on the real machine.
         agent: Option<Spanned<AgentId>>,
         /// The interface of this machine through which the real machine is reached, as `ip link` names it. Several real
@@ -1399,14 +1401,74 @@ record! {
         replicas: Option<Spanned<u8>>,
         /// CPUs that it takes of its node, each instance.
         cpus: Amount = 1,
+        /// Most CPUs that it uses, each instance. Without it: `cpus`.
+        cpu_limit: Option<Spanned<Amount>>,
         /// Memory that it takes of its node, each instance.
         memory: Bytes = "256 MB",
-        /// Time from a container's start until it serves, in virtual time. Without it: none.
-        start_time: Option<Spanned<Duration>>,
+        /// Time from a start until it serves, in virtual time. Without it: none.
+        start_time: Option<Duration>,
+        /// CPU time that each request takes of a bundled program, on a CPU of speed 1: a time, or a distribution
+        /// (docs/use/load.md). Without it: none.
+        demand: Option<Spanned<Either<Duration, DemandRecord>>>,
+        /// The order in which it serves requests with a demand. Without it: `fifo`.
+        scheduling: Option<Spanned<SchedulingWord>>,
+        /// Number of requests that it serves at a time with `fifo`. Without it: 1.
+        workers: Option<Spanned<u32>>,
+        /// Most requests with a demand that are with it at a time, waiting or served. One more is dropped. Without it: 1000.
+        backlog: Option<Spanned<u32>>,
+        /// What the first requests after each start cost more.
+        warm_up: Option<Spanned<WarmUpRecord>>,
         /// Time that a container takes from a request to its answer, in virtual time. Without it: none.
         processing_delay: Option<Spanned<Duration>>,
         ..container: ContainerRecord,
     }
+}
+
+record! {
+    /// Distribution of the CPU time of a request. It has exactly one of `constant`, `exponential`, `lognormal`, `uniform` and
+    /// `samples`.
+    DemandRecord {
+        /// The same time for all requests.
+        constant: Option<Duration>,
+        /// Mean of an exponential distribution.
+        exponential: Option<Spanned<Duration>>,
+        /// A lognormal distribution.
+        lognormal: Option<Spanned<LognormalRecord>>,
+        /// Bounds of a uniform distribution.
+        uniform: Option<Spanned<Vec<Duration>>>,
+        /// File of measured times, of which each request draws one: from this file's folder, a line for each time, in
+        /// milliseconds in the first column.
+        samples: Option<Spanned<String>>,
+        /// Time for each kilobyte (1000 B) of a request beside that.
+        per_kb as "per_kB": Duration = "0 ms",
+    }
+}
+
+record! {
+    /// A lognormal distribution by two of its quantiles.
+    LognormalRecord {
+        /// Median.
+        median: Spanned<Duration>,
+        /// 95th percentile.
+        p95: Duration,
+    }
+}
+
+record! {
+    /// What the first requests after a start of a VNF cost more.
+    WarmUpRecord {
+        /// Number of these requests.
+        requests: u32,
+        /// Factor of their demand.
+        factor: Amount,
+    }
+}
+
+/// Orders in which a VNF serves requests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SchedulingWord {
+    Fifo,
+    Shared,
 }
 
 /// Programs that come with cotorra.
@@ -1547,14 +1609,9 @@ choice!(ExchangeWord, "kind of exchange", {
     "times" => Self::Times, "handovers take the times of their phases";
     "frames" => Self::Frames, "handovers take as long as their frames on the air, with the timers of a kernel of 250 Hz";
 });
-choice!(Arrivals, "way of arrival", {
-    "constant" => Self::Constant, "always after the same time";
-    "poisson" => Self::Poisson, "at random, independent of each other";
-});
-choice!(CongestionControl, "congestion control", {
-    "reno" => Self::Reno, "Reno (RFC 5681)";
-    "cubic" => Self::Cubic, "CUBIC (RFC 9438), the default of Linux";
-    "bbr" => Self::Bbr, "BBR, version 1";
+choice!(SchedulingWord, "kind of scheduling", {
+    "fifo" => Self::Fifo, "in the order of arrival, as many at a time as there are `workers`";
+    "shared" => Self::Shared, "all at once, which share the VNF's CPUs evenly";
 });
 choice!(FadingWord, "kind of fading", {
     "rayleigh" => Self::Rayleigh, "no line of sight, and still surroundings";

@@ -116,6 +116,9 @@ pub(crate) mod tests {
             rights: Default::default(),
             keep: false,
             image: None,
+            cpu_limit: None,
+            start: Default::default(),
+            computing: None,
         }
     }
 

@@ -429,6 +429,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         memory_cost: 0.0,
         migration_cost: 0.0,
         reliability: 1.0,
+        speed: 1.0,
         real: None,
     });
     let link = |a: NodeId, b: NodeId| Link {

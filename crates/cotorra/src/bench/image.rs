@@ -272,6 +272,9 @@ fn vnf(args: &ImageArgs) -> Vnf {
         rights: Rights::default(),
         keep: false,
         image: Some(Box::new(Image { reference: args.image.clone(), ports, ..Image::default() })),
+        cpu_limit: None,
+        start: Duration::ZERO,
+        computing: None,
     }
 }
 

@@ -46,6 +46,7 @@ pub fn server() -> Server {
         memory_cost: 0.0,
         migration_cost: 0.0,
         reliability: 1.0,
+        speed: 1.0,
         real: None,
     }
 }
@@ -200,6 +201,7 @@ pub fn vnf(name: &str, node: &str) -> Vnf {
         id: id(name),
         program: Program::Navigation,
         cpus: 1.0,
+        cpu_limit: None,
         memory_bytes: 64 << 20,
         pinned_to: None,
         node: id::<cotorra_graph::NodeId>(node).into(),
@@ -207,6 +209,8 @@ pub fn vnf(name: &str, node: &str) -> Vnf {
         rights: Default::default(),
         keep: false,
         image: None,
+        start: Default::default(),
+        computing: None,
     }
 }
 

@@ -71,7 +71,7 @@ impl Spec<'_> {
         });
         let memory = i64::try_from(self.vnf.memory_bytes).ok();
         let limits = Limits {
-            nano_cpus: ((self.vnf.cpus * 1e9) as i64).max(LEAST_CPU_NS),
+            nano_cpus: ((self.vnf.most_cpus() * 1e9) as i64).max(LEAST_CPU_NS),
             memory,
             memory_swap: memory,
             pids_limit: PROCESSES,
@@ -175,6 +175,9 @@ pub(crate) mod tests {
             }),
             keep: false,
             image: Some(Box::new(image)),
+            cpu_limit: None,
+            start: Default::default(),
+            computing: None,
         }
     }
 

@@ -96,6 +96,9 @@ async fn run(daemon: &Daemon, name: &str, run: &str) -> Result<(), TrialError> {
         rights: Rights::default(),
         keep: false,
         image: Some(Box::new(image)),
+        cpu_limit: None,
+        start: Duration::ZERO,
+        computing: None,
     };
     let container = Spec {
         vnf: &vnf,

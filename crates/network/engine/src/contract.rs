@@ -219,6 +219,9 @@ fn vnf<S: Subject + ?Sized>(subject: &S, id: &str, words: &[&str]) -> Vnf {
         rights: Rights::default(),
         keep: false,
         image: subject.image().map(Box::new),
+        cpu_limit: None,
+        start: Default::default(),
+        computing: None,
     }
 }
 

@@ -168,7 +168,9 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         };
         command.stdin(Stdio::null());
         let procs = match &self.cgroups {
-            Some(groups) => groups.limit(instance, vnf.cpus, vnf.memory_bytes).map_err(|e| e.to_string())?,
+            Some(groups) => {
+                groups.limit(instance, vnf.most_cpus(), vnf.memory_bytes).map_err(|e| e.to_string())?
+            }
             None => Vec::new(),
         };
         let (stop, stopped) = mpsc::channel();

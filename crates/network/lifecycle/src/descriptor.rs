@@ -378,6 +378,9 @@ impl Descriptor {
             rights: Rights::default(),
             keep: false,
             image: self.image.as_ref().map(image),
+            cpu_limit: None,
+            start: Default::default(),
+            computing: None,
         }
     }
 

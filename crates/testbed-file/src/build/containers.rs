@@ -37,17 +37,17 @@ impl ContainerRecord {
 }
 
 impl Builder<'_> {
-    /// The image that a record names, if it names one; `None` for a mistake. `times` are those of virtual time, by their keys.
+    /// The image that a record names, if it names one; `None` for a mistake. `start` and `processing` are times of virtual
+    /// time.
     pub(super) fn image(
         &mut self,
         record: &ContainerRecord,
-        times: [(&'static str, &Option<Spanned<Duration>>); 2],
+        start: Duration,
+        processing: Option<&Spanned<Duration>>,
     ) -> Option<Option<Image>> {
-        let [start, processing] =
-            times.map(|(_, time)| time.as_ref().map_or(Duration::ZERO, |time| time.value));
         let Some(reference) = &record.image else {
-            let times = times.into_iter().filter_map(|(key, time)| Some((key, &time.as_ref()?.span)));
-            let given: Vec<_> = record.keys_of_image().chain(times).collect();
+            let processing = processing.map(|time| ("processing_delay", &time.span));
+            let given: Vec<_> = record.keys_of_image().chain(processing).collect();
             for (key, span) in &given {
                 self.sink
                     .error(span, format!("only an `image` has `{key}`"))
@@ -72,7 +72,7 @@ impl Builder<'_> {
             ports: record.ports.iter().flat_map(|all| &all.value).copied().collect(),
             init: false,
             start,
-            processing,
+            processing: processing.map_or(Duration::ZERO, |time| time.value),
         }))
     }
 
@@ -157,7 +157,7 @@ impl Builder<'_> {
                 .error(&image.span, what)
                 .help("leave out `image`, and place a VNF with an `image` there, or leave out the `agent`");
         }
-        let image = self.image(record, [("start_time", &None), ("processing_delay", &None)]);
+        let image = self.image(record, Duration::ZERO, None);
         let words = self.words_in_image(record.command.as_ref());
         let env = self.env(&record.env, true);
         let granted = Granted { capabilities: record.capabilities.value.clone(), readable: Vec::new() };
@@ -172,6 +172,9 @@ impl Builder<'_> {
             rights: Rights::Confined(granted),
             keep: false,
             image: image?.map(Box::new),
+            cpu_limit: None,
+            start: Duration::ZERO,
+            computing: None,
         }))
     }
 }

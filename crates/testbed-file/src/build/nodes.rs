@@ -321,6 +321,7 @@ impl Builder<'_> {
                     memory_cost: s.memory_cost.0,
                     migration_cost: s.migration_cost.0,
                     reliability: self.reliability(&s.reliability),
+                    speed: self.speed(&s.speed)?,
                     real: self.real_server(s)?,
                 };
                 (s.position, NodeKind::Server(server))

@@ -1,6 +1,6 @@
 //! Services and their VNFs.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
     Granted, Kpis, NodeId, Nodes, Probability, Program, Requests, Rights, Service, ServiceId, VirtualLink,
@@ -63,8 +63,10 @@ impl Builder<'_> {
     fn vnf(&mut self, id: &Spanned<VnfId>, record: &VnfRecord) -> Option<Vnf> {
         let program = self.program(&id.span, record);
         let place = self.pinned_and_started(&id.span, record);
-        let times = [("start_time", &record.start_time), ("processing_delay", &record.processing_delay)];
-        let image = self.image(&record.container, times);
+        let start = record.start_time.unwrap_or_default();
+        let image = self.image(&record.container, start, record.processing_delay.as_ref());
+        let computing = self.computing(record, program.as_ref());
+        let cpu_limit = self.cpu_limit(record);
         let runs_others = record.container.image.is_some() || matches!(program, Some(Program::Command(_)));
         let program = program?;
         let (env, rights) = (self.env(&record.container.env, runs_others), self.rights(record, runs_others));
@@ -73,13 +75,16 @@ impl Builder<'_> {
             id: id.value.clone(),
             program,
             cpus: record.cpus.0,
+            cpu_limit: cpu_limit?,
             memory_bytes: record.memory.0,
             pinned_to,
             node,
             env: env?,
             rights: rights?,
             keep: record.keep,
+            start: if record.container.image.is_some() { Duration::ZERO } else { start },
             image: image?.map(Box::new),
+            computing: computing?,
         })
     }
 

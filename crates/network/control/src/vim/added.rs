@@ -46,6 +46,9 @@ pub enum AddedVnfError {
         "it asks for `{0}`: a VNF that is added has the rights of a confined command; give it more in the testbed file"
     )]
     Rights(&'static str),
+    /// A demand of a program of others.
+    #[error("it has a demand: only bundled programs compute as a demand says")]
+    Demand,
     /// A start after the core's end.
     #[error("it asks for `keep`: a VNF that is added ends with the run")]
     Keep,
@@ -97,6 +100,9 @@ pub fn check_added(vnf: &Vnf) -> Result<(), AddedVnfError> {
         }
         Rights::Confined(_) => {}
     }
+    if vnf.computing.is_some() {
+        return Err(AddedVnfError::Demand);
+    }
     if vnf.keep {
         return Err(AddedVnfError::Keep);
     }
@@ -112,7 +118,7 @@ pub fn check_added(vnf: &Vnf) -> Result<(), AddedVnfError> {
         return Err(AddedVnfError::Variable(bare.clone()));
     }
     let is_above_0 = vnf.cpus.is_finite() && vnf.cpus > 0.0 && vnf.memory_bytes > 0;
-    if !is_above_0 {
+    if !is_above_0 || vnf.cpu_limit.is_some_and(|most| !most.is_finite() || most < vnf.cpus) {
         return Err(AddedVnfError::Capacity);
     }
     if vnf.pinned_to.as_ref().is_some_and(|pinned| vnf.node.only() != Some(pinned)) {

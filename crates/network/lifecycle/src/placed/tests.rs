@@ -35,6 +35,9 @@ fn service(names: &[&str], owner: Option<DomainId>) -> Applications {
         rights: Rights::default(),
         keep: false,
         image: None,
+        cpu_limit: None,
+        start: Default::default(),
+        computing: None,
     };
     let kpis = Kpis {
         service_time: std::time::Duration::from_millis(15),

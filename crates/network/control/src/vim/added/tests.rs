@@ -198,6 +198,8 @@ fn an_added_vnf_is_within_bounds() {
         (Vnf { program: command(vec!["a\0".to_owned()]), ..base() }, AddedVnfError::ZeroByte),
         (Vnf { cpus: f64::NAN, ..base() }, AddedVnfError::Capacity),
         (Vnf { cpus: 0.0, ..base() }, AddedVnfError::Capacity),
+        (Vnf { cpu_limit: Some(f64::NAN), ..base() }, AddedVnfError::Capacity),
+        (Vnf { cpu_limit: Some(1.0), ..base() }, AddedVnfError::Capacity),
         (Vnf { memory_bytes: 0, ..base() }, AddedVnfError::Capacity),
         (Vnf { pinned_to: Some(NodeId::new("b").unwrap()), ..base() }, AddedVnfError::Pinned),
         (image(ports(vec![80, 80])), AddedVnfError::Ports),
