@@ -72,7 +72,7 @@ pub enum Demand {
     /// Measured times, of which each request draws one.
     Samples {
         /// The times.
-        #[serde(rename = "samples_ms")]
+        #[serde(rename = "times_ms")]
         samples: MeasuredTimes,
     },
 }
@@ -217,7 +217,7 @@ mod tests {
     fn computing_survives_json() {
         let samples = MeasuredTimes::parse("1\n2.5\n").unwrap();
         for (demand, json) in [
-            (Demand::Samples { samples }, r#"{"samples":{"samples_ms":[1.0,2.5]}}"#),
+            (Demand::Samples { samples }, r#"{"samples":{"times_ms":[1.0,2.5]}}"#),
             (Demand::Exponential { mean: Duration::from_millis(3) }, r#"{"exponential":{"mean_ms":3.0}}"#),
         ] {
             let computing = Computing {
@@ -231,7 +231,7 @@ mod tests {
             assert!(text.starts_with(&format!(r#"{{"demand":{json},"per_kb_ms":0.01,"#)), "{text}");
             assert_eq!(serde_json::from_str::<Computing>(&text).unwrap(), computing);
         }
-        let wrong = r#"{"samples":{"samples_ms":[-1.0]}}"#;
+        let wrong = r#"{"samples":{"times_ms":[-1.0]}}"#;
         assert!(serde_json::from_str::<Demand>(wrong).is_err());
     }
 }

@@ -52,7 +52,8 @@ impl Distribution {
 
     /// Returns the lognormal distribution of a mean above 0, whose logarithm has the deviation `sigma`, from 0 to 10.
     pub fn lognormal(mean: f64, sigma: f64) -> Option<Self> {
-        (is_above_zero(mean) && (0.0..=10.0).contains(&sigma)).then_some(Self(Kind::Lognormal { mean, sigma }))
+        (is_above_zero(mean) && (0.0..=10.0).contains(&sigma))
+            .then_some(Self(Kind::Lognormal { mean, sigma }))
     }
 
     /// Returns the Pareto distribution of a mean above 0 and a shape above 1, without an upper bound.

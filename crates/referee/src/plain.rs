@@ -52,6 +52,11 @@ pub fn plain(mut testbed: Testbed) -> Plain {
         );
     }
     plain_traffic(&mut testbed, &mut lines);
+    for vnf in testbed.services.iter_mut().flat_map(|service| &mut service.vnfs) {
+        if vnf.computing.take().is_some() {
+            lines.left_out(format!("the demand of VNF {}: in ns-3 answers take no time of a CPU", vnf.id));
+        }
+    }
     for service in &testbed.services {
         if service.kpis.flow.is_some() {
             lines.unlike(format!("service {}: programs do not run in virtual time, nor in ns-3", service.id));

@@ -57,11 +57,12 @@ pub use real::{
     run::Run,
 };
 pub use report::{
-    Bill, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged,
-    Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles,
-    RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis, ServiceParts, ServiceSummary,
-    StalenessRegret, Summary, Taken, Verdict, Void, WORST_ROBOTS, by_service, name_of_total, panels,
-    robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
+    Bill, ComputerSummary, ComputingSummary, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError,
+    ForgedSummary, GatewaySummary, Judged, Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts,
+    PartSummary, Place, Quantiles, RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis,
+    ServiceParts, ServiceSummary, StalenessRegret, Summary, Taken, Verdict, VnfComputing, Void, WORST_ROBOTS,
+    by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file,
+    write_samples,
 };
 pub use twin::{MaybeTwin, TwinError, beside_core, check_twin, distant};
 pub use virtual_time::{

@@ -71,6 +71,7 @@ fn hints(testbed: &Testbed) -> Vec<String> {
         program.serves_robots() && (start + processing).is_zero()
     };
     let images = testbed.vnfs().filter_map(|vnf| Some((vnf, vnf.image.as_deref()?)));
+    let images = images.filter(|(vnf, _)| vnf.computing.is_none());
     let instant = images.filter(|(vnf, image)| is_instant(&vnf.program, image.start, image.processing));
     let hint = |id| {
         format!(

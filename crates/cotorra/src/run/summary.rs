@@ -199,6 +199,19 @@ fn figures(summary: &Summary, several: bool) -> Table {
     if let Some(bill) = &summary.bill {
         table.row(["bill".to_owned(), bill.sentence()]);
     }
+    let vnfs = || summary.computing.iter().flat_map(|computing| &computing.vnfs);
+    let mut busiest: Vec<_> = vnfs().filter(|vnf| vnf.requests > 0).collect();
+    busiest.sort_by(|a, b| b.busy.total_cmp(&a.busy));
+    for vnf in busiest.iter().take(WORST_VNFS) {
+        table.row([format!("VNF {}", vnf.vnf), vnf.sentence()]);
+    }
+    if let Some(more @ 1..) = busiest.len().checked_sub(WORST_VNFS) {
+        table.row([format!("{} more", count(more, "VNF")), "less busy".to_owned()]);
+    }
+    let nodes = summary.computing.iter().flat_map(|computing| &computing.nodes);
+    for node in nodes.filter(|node| node.cpu_time_ms > 0.0) {
+        table.row([format!("node {}", node.node), node.sentence()]);
+    }
     for plugin in &summary.plugins {
         table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);
     }

@@ -20,9 +20,24 @@ pub fn missing_cpus(testbed: &Testbed, have: usize) -> Option<String> {
     })
 }
 
+/// Returns a warning if VNFs have demands, which no real VNF knows of.
+pub(super) fn unused_demands(testbed: &Testbed) -> Option<String> {
+    let names: Vec<_> =
+        testbed.vnfs().filter(|vnf| vnf.computing.is_some()).map(|vnf| format!("`{}`", vnf.id)).collect();
+    let (s, have) = if names.len() == 1 { ("", "has") } else { ("s", "have") };
+    (!names.is_empty()).then(|| {
+        format!(
+            "VNF{s} {} {have} a demand, which holds in virtual time only: with real packets, they take the time that they take",
+            names.join(", ")
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
+    use std::{path::Path, time::Duration};
+
+    use cotorra_graph::{Computing, Demand, Scheduling};
 
     use super::*;
 
@@ -51,5 +66,19 @@ services:
         let warning = missing_cpus(&two, 5).unwrap();
         assert!(warning.contains("5.5 CPUs") && warning.contains("has 5"), "{warning}");
         assert_eq!(missing_cpus(&two, 6), None);
+    }
+
+    #[test]
+    fn demands_get_a_warning_because_they_hold_in_virtual_time_only() {
+        let mut testbed = testbed("n: { command: [sleep], node: a }");
+        assert_eq!(unused_demands(&testbed), None);
+        testbed.services[0].vnfs[0].computing = Some(Box::new(Computing {
+            demand: Demand::Constant { time: Duration::from_millis(1) },
+            per_kb: Duration::ZERO,
+            scheduling: Scheduling::Shared,
+            backlog: Computing::BACKLOG,
+            warm_up: None,
+        }));
+        assert!(unused_demands(&testbed).unwrap().starts_with("VNF `n` has a demand, which"));
     }
 }

@@ -3,6 +3,7 @@
 
 mod away;
 mod bill;
+mod computing;
 mod doubts;
 mod driving;
 mod end;
@@ -32,6 +33,7 @@ mod void;
 mod whole;
 
 pub use bill::{Bill, DomainBill, LinkBill, ServerBill, ServiceBill, Taken};
+pub use computing::{ComputerSummary, ComputingSummary, VnfComputing};
 pub use doubts::sampled_services;
 pub(crate) use end::End;
 pub use fidelity::Fidelity;

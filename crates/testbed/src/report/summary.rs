@@ -16,6 +16,7 @@ use serde::Serialize;
 use super::{
     away::AwaySummary,
     bill::{Bill, Billing},
+    computing::ComputingSummary,
     doubts::Doubts,
     driving::{Driving, DrivingSummary},
     end::End,
@@ -34,6 +35,7 @@ use super::{
     vnf_waits::VnfWaits,
     void::Void,
 };
+use crate::virtual_time::ComputedSoFar;
 
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
@@ -98,6 +100,9 @@ pub struct Summary {
     /// Prices of what the run took, if the testbed file has a currency.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bill: Option<Bill>,
+    /// What VNFs with demands computed, in virtual time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub computing: Option<ComputingSummary>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
     /// What old context cost, by plug-in with a distance, beside the twins of the run; empty without twins.
@@ -343,6 +348,7 @@ pub struct Report {
     localization: Vec<LocalizationSummary>,
     traffic: Vec<Measured>,
     billing: Option<Billing>,
+    computed: ComputedSoFar,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
@@ -408,6 +414,7 @@ impl Report {
             localization: Vec::new(),
             traffic: Vec::new(),
             billing: Billing::new(testbed),
+            computed: ComputedSoFar::default(),
             pose_source: None,
             robots: testbed
                 .services
@@ -523,6 +530,11 @@ impl Report {
         self.traffic = traffic;
     }
 
+    /// Adds what VNFs with demands computed. It is in no event.
+    pub(crate) fn computed(&mut self, computed: ComputedSoFar) {
+        self.computed = computed;
+    }
+
     /// Adds where the robots stand, if none of them makes progress any more.
     pub(crate) fn stuck(&mut self, stand: String) {
         self.no_progress = Some(stand);
@@ -589,7 +601,7 @@ impl Report {
 
     /// Returns the parts of the service times of services with answered samples, in the file's order.
     pub fn time_parts(&self) -> Vec<ServiceParts> {
-        self.time_parts.summary(&self.vnf_waits)
+        self.time_parts.summary(&self.vnf_waits, &self.computed.vnfs)
     }
 
     /// Returns the service times of each service, in the file's order.
@@ -698,6 +710,7 @@ impl Report {
             driving: self.driving.summary(),
             traffic: self.traffic.clone(),
             bill: self.billing.as_ref().map(|billing| billing.bill(end)),
+            computing: ComputingSummary::of(&self.computed, end.since(Timestamp::ZERO)),
             plugins: self.instructed.summary(),
             staleness_regret: Vec::new(),
             plugin_faults: self.faults.clone(),

@@ -11,6 +11,7 @@ use cotorra_graph::{LinkId, LostAt, NodeId, ServiceId, ServiceTime, Testbed, Tim
 use serde::Serialize;
 
 use super::times::Quantiles;
+use crate::virtual_time::Computed;
 
 /// Most samples of a part, and most samples above the target, from which quantiles are computed. Of more, every second,
 /// fourth and so on is used.
@@ -58,8 +59,9 @@ pub struct MeanParts {
     pub queueing_ms: f64,
     /// In VNFs and their hosts, without the next part.
     pub vnf_ms: f64,
-    /// Waits of VNFs for a processor of this machine: those of each instance's thread that waited longest, over all answered
-    /// samples, and at most the time in VNFs. Zero if they are unknown.
+    /// Waits of VNFs for a processor, at most the time in VNFs. In real time, they are for one of this machine: those of each
+    /// instance's thread that waited longest, over all answered samples; zero if they are unknown. In virtual time, they are
+    /// the mean waits of answers of VNFs with demands.
     pub processor_ms: f64,
     pub wires_back_ms: f64,
     pub air_back_ms: f64,
@@ -288,14 +290,29 @@ impl TimePartsReport {
         }
     }
 
-    /// Returns the waits of each service's VNFs for a processor, ms.
-    fn waited_ms(&self, waits: &[InstanceWaits]) -> BTreeMap<&ServiceId, f64> {
+    /// Returns the waits of each service's VNFs for a processor, ms for each of its samples with parts.
+    fn waited_ms(&self, waits: &[InstanceWaits], computed: &[Computed]) -> BTreeMap<&ServiceId, f64> {
         let mut waited_ms: BTreeMap<_, f64> = BTreeMap::new();
         for InstanceWaits { vnf, node, waits } in waits {
             if let (Some((service, robot)), Some(waits)) = (self.vnfs.get(vnf), waits)
                 && node != robot
             {
-                *waited_ms.entry(service).or_default() += millis::of(waits.longest);
+                let samples = self.places.get(service).map_or(0, |place| self.services[*place].2.samples);
+                *waited_ms.entry(service).or_default() +=
+                    millis::of(waits.longest) / f64::from(samples.max(1));
+            }
+        }
+        let mut by_vnf: BTreeMap<&VnfId, [f64; 2]> = BTreeMap::new();
+        for Computed { vnf, node, waiting_ms, waited_ms, .. } in computed {
+            if self.vnfs.get(vnf).is_some_and(|(_, robot)| node != robot) {
+                let [sum, count] = by_vnf.entry(vnf).or_default();
+                *sum += waited_ms;
+                *count += waiting_ms.count() as f64;
+            }
+        }
+        for (vnf, [sum, count]) in by_vnf {
+            if let Some((service, _)) = self.vnfs.get(vnf).filter(|_| count > 0.0) {
+                *waited_ms.entry(service).or_default() += sum / count;
             }
         }
         waited_ms
@@ -324,9 +341,10 @@ impl TimePartsReport {
         }
     }
 
-    /// Returns the parts of each service with samples, in the file's order, in a run with these waits of VNFs for a processor.
-    pub fn summary(&self, waits: &[InstanceWaits]) -> Vec<ServiceParts> {
-        let waited_ms = self.waited_ms(waits);
+    /// Returns the parts of each service with samples, in the file's order, in a run with these waits of VNFs for a
+    /// processor.
+    pub fn summary(&self, waits: &[InstanceWaits], computed: &[Computed]) -> Vec<ServiceParts> {
+        let waited_ms = self.waited_ms(waits, computed);
         let waited_ms = |service: &ServiceId| waited_ms.get(service).copied().unwrap_or_default();
         let measured = |its: &Gathered| its.samples > 0 || its.unknown > 0 || !its.lost.is_empty();
         let measured = self.services.iter().filter(|(.., its)| measured(its));
@@ -338,7 +356,7 @@ impl TimePartsReport {
             late_with_parts: its.above.seen,
             unanswered: its.lost.values().sum(),
             lost_at: its.lost(),
-            mean: its.mean().with_processor(waited_ms(service) / f64::from(its.samples.max(1))),
+            mean: its.mean().with_processor(waited_ms(service)),
             parts: its.parts(),
         };
         measured.map(summary).collect()
@@ -418,7 +436,7 @@ services:
         within.into_iter().chain(above).for_each(|ms| report.absorb(&sample(ms)));
         report.absorb(&ServiceTime { took: None, parts: None, ..sample([0; 5]) });
         report.absorb(&ServiceTime { parts: None, ..sample([1; 5]) });
-        let [its] = &report.summary(&[])[..] else { panic!("one service") };
+        let [its] = &report.summary(&[], &[])[..] else { panic!("one service") };
         assert_eq!((its.samples, its.without_parts), (6, 1));
         assert_eq!((its.late_answers, its.late_with_parts, its.unanswered), (3, 3, 1));
         let part = |name: &str| its.parts.iter().find(|part| part.part == name).unwrap();
@@ -444,7 +462,7 @@ services:
             let lost_at = lost_at.cloned().map(Box::new);
             report.absorb(&ServiceTime { took: None, parts: None, lost_at, ..sample([0; 5]) });
         }
-        let [its] = &report.summary(&[])[..] else { panic!("a service without any answer") };
+        let [its] = &report.summary(&[], &[])[..] else { panic!("a service without any answer") };
         assert_eq!((its.samples, its.unanswered, its.late_answers), (0, 6, 0));
         let lost: Vec<_> = its.lost_at.iter().map(|place| (place.at.clone(), place.samples)).collect();
         assert_eq!(lost, [(Some(on_air), 3), (Some(queued), 2), (None, 1)]);
@@ -460,9 +478,9 @@ services:
     #[test]
     fn a_service_within_its_target_needs_no_explanation() {
         let mut report = report();
-        assert!(report.summary(&[]).is_empty());
+        assert!(report.summary(&[], &[]).is_empty());
         report.absorb(&sample([1; 5]));
-        let [its] = &report.summary(&[])[..] else { panic!("one service") };
+        let [its] = &report.summary(&[], &[])[..] else { panic!("one service") };
         assert!(its.parts.iter().all(|part| part.explains.is_none() && part.added_p95_ms.is_none()));
     }
 
@@ -484,7 +502,7 @@ services:
             let mut report = report();
             all.iter().for_each(|ms| report.absorb(&sample(*ms)));
             let sum: u64 = all.iter().flatten().sum();
-            let mean = report.summary(&[waits("v", "s", waited), waits("v", "r", 9), waits("other", "s", 9)])[0].mean;
+            let mean = report.summary(&[waits("v", "s", waited), waits("v", "r", 9), waits("other", "s", 9)], &[])[0].mean;
             let in_vnf: u64 = all.iter().map(|[vnf, ..]| vnf).sum();
             prop_assert!((mean.processor_ms - waited.min(in_vnf) as f64 / all.len() as f64).abs() < 1e-9);
             let parts = serde_json::to_value(mean).unwrap();

@@ -1,5 +1,6 @@
 //! VNFs in virtual time. Bundled ones are parts of the simulation. Others do not run: datagrams to them are lost, and
-//! nothing answers. A VNF with an image is modelled: it is ready some time after its start, and a bundled one answers later.
+//! nothing answers. An instance is ready some time after its start. A bundled one answers at once, after the delay of its
+//! image, or once its node's CPUs computed the answer.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -9,10 +10,15 @@ use std::{
 
 use cotorra_brain::NavigationVnf;
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId};
+use cotorra_graph::{NodeId, Program, Stamped, Testbed, Timestamp, Vnf, VnfId};
 use cotorra_plugin::wire;
 use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
+
+use super::{
+    computers::{Answer, ComputedSoFar, Computers},
+    interference::Held,
+};
 
 /// The state of a bundled VNF.
 #[derive(Clone)]
@@ -50,6 +56,8 @@ struct Instance {
     bundled: Option<(u16, Bundled)>,
     /// Time from a request to its answer.
     processing: Duration,
+    /// Whether its answers take time of its node's CPUs.
+    computes: bool,
     mood: Mood,
     /// Time from which it can serve.
     serves_at: Timestamp,
@@ -67,11 +75,22 @@ struct Instances {
     slow: BTreeMap<NodeId, Duration>,
     /// Whether started instances stay unready until this ends.
     starts_held: bool,
+    computers: Computers,
 }
 
 impl Instances {
     fn all(&mut self) -> impl Iterator<Item = &mut Instance> {
         self.by_node.values_mut().flatten()
+    }
+
+    /// Removes all instances that `is_removed` selects, and returns them. Requests that they compute are lost.
+    fn remove(&mut self, mut is_removed: impl FnMut(&NodeId, &Instance) -> bool) -> Vec<InstanceId> {
+        let mut removed = Vec::new();
+        for (node, here) in &mut self.by_node {
+            removed.extend(here.extract_if(.., |instance| is_removed(node, instance)).map(|its| its.id));
+        }
+        removed.iter().for_each(|id| self.computers.stop(self.now, *id));
+        removed
     }
 
     fn tell(&mut self, instance: InstanceId, outcome: Outcome) {
@@ -99,26 +118,48 @@ impl Instances {
 pub struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
-    /// Writes the answer of a node's VNFs to a datagram at that port, and returns its delay; `None` without an answer.
-    pub(super) fn answer(
-        &self,
-        node: &NodeId,
-        port: u16,
-        datagram: &[u8],
-        answer: &mut Vec<u8>,
-    ) -> Option<Duration> {
+    /// Writes the answer of a node's VNFs to a datagram into the payload, which the port `from` sends. Returns it with its
+    /// delay, unless it has to be computed or there is none.
+    pub(super) fn answer(&self, node: &NodeId, datagram: &[u8], mut held: Held) -> Option<Answer> {
         let mut all = self.0.lock();
+        let all = &mut *all;
         let slow = all.slow.get(node).copied().unwrap_or_default();
-        let here = all.by_node.get_mut(node).into_iter().flatten();
-        here.filter(|instance| instance.is_ready).find_map(|instance| {
-            let (_, program) = instance.bundled.as_mut().filter(|(its, _)| *its == port)?;
+        let mut here = all.by_node.get_mut(node).into_iter().flatten().filter(|instance| instance.is_ready);
+        let (computing, later) = here.find_map(|instance| {
+            let (_, program) = instance.bundled.as_mut().filter(|(its, _)| *its == held.from.1)?;
             let later = match instance.mood {
                 Mood::Prompt => Duration::ZERO,
                 Mood::Slow(later) => later,
                 Mood::Hung => return None,
             };
-            program.answer(datagram, answer).then_some(later + instance.processing + slow)
-        })
+            let answers = program.answer(datagram, &mut held.payload);
+            let computing = instance.computes.then_some(instance.id);
+            answers.then_some((computing, later + instance.processing + slow))
+        })?;
+        let answer = Answer { held, later };
+        let Some(instance) = computing else { return Some(answer) };
+        all.computers.arrive(all.now, instance, datagram.len(), answer);
+        None
+    }
+
+    /// Returns the next answer that is computed.
+    pub(super) fn poll(&self) -> Option<Answer> {
+        let mut all = self.0.lock();
+        let now = all.now;
+        all.computers.poll(now)
+    }
+
+    /// Returns the contexts of servers, if they are due.
+    pub(super) fn contexts(&self) -> Vec<Stamped> {
+        let mut all = self.0.lock();
+        let now = all.now;
+        all.computers.contexts(now)
+    }
+
+    /// Returns what VNFs with demands computed so far.
+    pub(super) fn computed(&self) -> ComputedSoFar {
+        let all = self.0.lock();
+        all.computers.computed(all.now)
     }
 }
 
@@ -130,13 +171,15 @@ impl Serving {
         all.make_ready();
     }
 
-    /// Returns when the next instance can serve.
+    /// Returns when the next instance can serve, or the next answer is computed.
     pub(super) fn next_deadline(&self) -> Option<Timestamp> {
         let mut all = self.0.lock();
+        let computed = all.computers.next_deadline();
         if all.starts_held {
-            return None;
+            return computed;
         }
-        all.all().filter(|instance| !instance.is_ready).map(|instance| instance.serves_at).min()
+        let starts = all.all().filter(|instance| !instance.is_ready).map(|instance| instance.serves_at);
+        starts.chain(computed).min()
     }
 
     /// Lets the instances on these nodes answer later.
@@ -150,21 +193,15 @@ impl Serving {
     /// Kills all instances of a VNF.
     pub fn kill(&self, vnf: &VnfId) {
         let mut all = self.0.lock();
-        let mut killed = Vec::new();
-        for instances in all.by_node.values_mut() {
-            killed.extend(instances.extract_if(.., |instance| instance.vnf == *vnf).map(|dead| dead.id));
-        }
-        for instance in killed {
-            all.tell(instance, Outcome::Died("killed".to_owned()));
-        }
+        let killed = all.remove(|_, instance| instance.vnf == *vnf);
+        killed.into_iter().for_each(|instance| all.tell(instance, Outcome::Died("killed".to_owned())));
     }
 
     /// Kills the instance of a VNF on a node.
     #[cfg(test)]
     pub(crate) fn kill_on(&self, vnf: &VnfId, node: &NodeId) {
         let mut all = self.0.lock();
-        let here = all.by_node.entry(node.clone()).or_default();
-        let killed: Vec<_> = here.extract_if(.., |i| i.vnf == *vnf).map(|dead| dead.id).collect();
+        let killed = all.remove(|its, instance| its == node && instance.vnf == *vnf);
         killed.into_iter().for_each(|instance| all.tell(instance, Outcome::Died("killed".to_owned())));
     }
 
@@ -198,6 +235,7 @@ pub(crate) struct VirtualEngine {
 impl VirtualEngine {
     /// Plans all walks, and prepares the map.
     pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
+        serving.0.lock().computers = Computers::new(testbed, seed);
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed)?;
         let planned = testbed.services.iter().flat_map(|service| {
@@ -222,20 +260,23 @@ impl VirtualEngine {
 }
 
 impl Engine for VirtualEngine {
-    fn start(&mut self, id: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
+    fn start(&mut self, id: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
         let bundled = match vnf.program {
             Program::Command(_) | Program::Host(_) => None,
             _ => Some(self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone()),
         };
-        let (start, processing) =
-            vnf.image.as_ref().map_or_else(Default::default, |i| (i.start, i.processing));
+        let processing = vnf.image.as_ref().map_or(Duration::ZERO, |image| image.processing);
         let mut all = self.serving.0.lock();
-        let serves_at = all.now + start;
+        let now = all.now;
+        let serves_at = now + vnf.start_time();
+        all.computers.start(now, id, vnf, replica, node)?;
+        let computes = all.computers.compute(&vnf.id);
         all.by_node.entry(node.clone()).or_default().push(Instance {
             id,
             vnf: vnf.id.clone(),
             bundled,
             processing,
+            computes,
             mood: Mood::default(),
             serves_at,
             is_ready: false,
@@ -245,7 +286,7 @@ impl Engine for VirtualEngine {
     }
 
     fn stop(&mut self, id: InstanceId) {
-        self.serving.0.lock().by_node.values_mut().for_each(|here| here.retain(|other| other.id != id));
+        self.serving.0.lock().remove(|_, instance| instance.id == id);
     }
 
     fn poll(&mut self) -> Option<EngineEvent> {
@@ -253,6 +294,6 @@ impl Engine for VirtualEngine {
     }
 
     fn shut_down(&mut self) {
-        self.serving.0.lock().by_node.clear();
+        self.serving.0.lock().remove(|_, _| true);
     }
 }

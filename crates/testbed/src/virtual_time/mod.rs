@@ -2,6 +2,7 @@
 //! of a clock. Nothing sleeps, all randomness comes from the seed, and the same seed gives the same events.
 
 mod altered;
+mod computers;
 mod engine;
 mod interference;
 mod network;
@@ -36,9 +37,14 @@ pub use self::{
 };
 use self::{
     altered::{Forked, Forking},
+    computers::Answer,
     interference::{Held, Interference},
 };
-pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
+pub(crate) use self::{
+    computers::{Computed, ComputedSoFar, UsedComputer},
+    engine::VirtualEngine,
+    network::VirtualNetwork,
+};
 use crate::{
     core::{Core, script::Script},
     domain::Domains,
@@ -309,6 +315,7 @@ impl Simulation {
         self.serving.advance(now);
         // The network in memory cannot be gone.
         let _ = self.core.advance(now);
+        self.serving.contexts().into_iter().for_each(|context| self.core.observe(context));
         self.carry(now);
         self.host.apply_arrived(now, &mut Forked { core: &mut self.core, forking: &mut self.forking });
         self.locals.end_cut_off(&self.host);
@@ -431,6 +438,11 @@ impl Simulation {
         self.traffic.measured(self.now())
     }
 
+    /// Returns what VNFs with demands computed so far.
+    pub(crate) fn computed(&self) -> ComputedSoFar {
+        self.serving.computed()
+    }
+
     /// Returns the localization errors so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
@@ -485,6 +497,9 @@ impl Simulation {
                     self.send(now, (from, CONTROL_PORT), (to, CONTROL_PORT), &payload);
                 }
             }
+            while let Some(answer) = self.serving.poll() {
+                self.send_answer(now, answer);
+            }
             self.send_traffic(now);
             let mut delivered = Vec::new();
             self.network.fabric().poll(now, &mut |port, frame| delivered.push((port, frame)));
@@ -533,19 +548,21 @@ impl Simulation {
             self.interference.note_answer(&host, datagram.from, datagram.payload);
             return self.core.receive(now, &host, datagram.from, datagram.payload);
         }
-        let mut answer = Vec::with_capacity(128);
-        let answered = self.serving.answer(&host, datagram.to, datagram.payload, &mut answer);
-        let from = (port, datagram.to);
-        let (address, sender_port) = (*datagram.from.ip(), datagram.from.port());
-        match (answered, self.port_at(address)) {
-            (Some(Duration::ZERO), Some(sender)) => {
-                self.send(now, from, (sender, sender_port), &answer);
+        let to = (*datagram.from.ip(), datagram.from.port());
+        let held = Held { from: (port, datagram.to), to, payload: Vec::with_capacity(128) };
+        if let Some(answer) = self.serving.answer(&host, datagram.payload, held) {
+            self.send_answer(now, answer);
+        }
+    }
+
+    /// Sends an answer now or after its delay.
+    fn send_answer(&mut self, now: Timestamp, Answer { held, later }: Answer) {
+        match self.port_at(held.to.0) {
+            Some(sender) if later.is_zero() => {
+                self.send(now, held.from, (sender, held.to.1), &held.payload);
             }
-            (Some(later), Some(_)) => {
-                let held = Held { from, to: (address, sender_port), payload: answer };
-                self.interference.hold(now + later, held);
-            }
-            _ => {}
+            Some(_) => self.interference.hold(now + later, held),
+            None => {}
         }
     }
 

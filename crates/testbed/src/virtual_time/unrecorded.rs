@@ -97,6 +97,7 @@ fn in_memory(
             _ => continue,
         };
         report.carried(simulation.traffic());
+        report.computed(simulation.computed());
         let summary = report.summary(now, end.as_str(), Losses::default());
         return Ok(Some(UnrecordedRun { summary, forked: simulation.forked().cloned() }));
     }

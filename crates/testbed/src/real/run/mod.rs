@@ -23,7 +23,7 @@ use std::{
 
 use cotorra_datapath::{Datapath, StampedSocket};
 use cotorra_fabric::Histogram;
-use cotorra_graph::{NodeId, Testbed, Timestamp};
+use cotorra_graph::{Event, NodeId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Recorder, RecorderStats, RunId};
 use cotorra_recording::Recording;
 use parking_lot::Mutex;
@@ -44,6 +44,7 @@ use crate::{
     options::Options,
     real::{
         core_loop::{CoreLoop, receive},
+        cpus::unused_demands,
         leftovers::clean,
         robots::Masters,
     },
@@ -134,6 +135,10 @@ impl Run {
             core.tap_scans();
         }
         core.start(now());
+        if let Some(message) = unused_demands(&testbed) {
+            tracing::warn!("{message}");
+            core.observe(Stamped { at: now(), event: Event::Notice { message } });
+        }
         let report = Report::new(&testbed, prepared.seed).on_disk(folder.path())?;
         let report = if is_probed { report.by_the_kernel() } else { report };
         let records = recorder.clone();

@@ -1,6 +1,7 @@
 mod added;
 mod altered;
 mod camera;
+mod computing;
 mod congestion;
 mod container;
 mod corruption;
