@@ -5,10 +5,9 @@
 
 mod both_ends;
 mod clocks;
-mod packet;
 mod tcp;
 
-use cotorra_pcap::{Packet, ReadError};
+use cotorra_pcap::{Packet, ReadError, headers};
 
 pub use self::{both_ends::one_way_of_captures, tcp::round_trips_of_capture};
 use crate::error::CalibrateError;
@@ -51,11 +50,11 @@ impl<'a> Packets<'a> {
                 "the capture has more than {MAX_PACKETS} packets: capture a shorter time, or one flow only"
             )));
         }
-        if let Some(header) = packet::link_header(link_type, bytes)
+        if let Some(header) = headers::link_header(link_type, bytes)
             && let Some(ip) = bytes.get(header..)
         {
             let original = (original as usize).max(bytes.len());
-            let frame_bytes = original - header + packet::ETHERNET;
+            let frame_bytes = original - header + headers::ETHERNET;
             self.packets.push(Captured { at_ns, ip, cut: original > bytes.len(), frame_bytes });
         }
         Ok(())

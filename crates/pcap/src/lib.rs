@@ -1,8 +1,9 @@
 //! Captures of packets, as `tcpdump` and Wireshark write them: [`read`] takes pcap and pcapng, [`mod@write`] makes pcapng, and
-//! [`Blocks`] splits a stream of pcapng. What is in the packets is for others.
+//! [`Blocks`] splits a stream of pcapng. [`headers`] reads those of IP and TCP; what else is in the packets is for others.
 #![forbid(unsafe_code)]
 
 mod blocks;
+pub mod headers;
 mod order;
 mod packet;
 mod pcap;

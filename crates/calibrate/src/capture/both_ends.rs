@@ -6,10 +6,11 @@ use std::{
     time::Duration,
 };
 
+use cotorra_pcap::headers::Ip;
+
 use super::{
     Captured,
     clocks::{MOST_DRIFT, lower_slope},
-    packet::Ip,
     read,
     tcp::{MOST_PACKET, offloaded},
 };

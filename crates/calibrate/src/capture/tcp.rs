@@ -6,10 +6,9 @@ use std::{
     time::Duration,
 };
 
-use super::{
-    packet::{Ip, Segment},
-    read, unreadable,
-};
+use cotorra_pcap::headers::{Ip, Segment};
+
+use super::{read, unreadable};
 use crate::{
     error::CalibrateError,
     times::{PacketTimes, middle},

@@ -5,10 +5,10 @@ use std::{
     net::IpAddr,
 };
 
-use cotorra_pcap::Order;
+use crate::Order;
 
 /// Length of an Ethernet header.
-pub(super) const ETHERNET: usize = 14;
+pub const ETHERNET: usize = 14;
 /// Lengths of the headers of Linux's `any` interface, of both versions.
 const COOKED: usize = 16;
 const COOKED_2: usize = 20;
@@ -26,7 +26,7 @@ const TCP_HEADER: usize = 20;
 
 /// Returns the length of what stands before the IP header, by the type of the link
 /// (<https://www.tcpdump.org/linktypes.html>); `None` if the packet is not IP.
-pub(super) fn link_header(link_type: u16, bytes: &[u8]) -> Option<usize> {
+pub fn link_header(link_type: u16, bytes: &[u8]) -> Option<usize> {
     let number = |at| Order::Big.u16_at(bytes, at);
     let is_ip = |ethertype: u16| ethertype == IPV4 || ethertype == IPV6;
     match link_type {
@@ -47,8 +47,10 @@ pub(super) fn link_header(link_type: u16, bytes: &[u8]) -> Option<usize> {
 
 /// The IP header of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Ip<'a> {
+pub struct Ip<'a> {
+    /// Address of its sender.
     pub source: IpAddr,
+    /// Address of its receiver.
     pub destination: IpAddr,
     /// Length of the whole packet, by its header.
     pub length: usize,
@@ -142,7 +144,7 @@ impl<'a> Ip<'a> {
 
 /// The header of a TCP segment (RFC 9293).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Segment {
+pub struct Segment {
     /// Ports of source and destination.
     pub ports: [u16; 2],
     /// First sequence number.
