@@ -131,7 +131,10 @@ pub use testbed::{
     Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
-pub use traffic::{Arrivals, CongestionControl, Load, TrafficSource, UdpRate};
+pub use traffic::{
+    Arrivals, Begin, CongestionControl, DatagramSize, Load, OnOff, OverLink, RecordedDatagram, Replay, Sends,
+    TrafficSource, Transfers, UdpRate,
+};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis, wrapped_angle};
 pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};

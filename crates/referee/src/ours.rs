@@ -8,16 +8,16 @@ use std::{
 
 use cotorra_fabric::sensitivity;
 use cotorra_graph::{
-    Arrivals, Codel, Conditions, Direction, Event, FixedRate, Link, NodeId, NodeKind, Pie, QueueDiscipline,
-    QueueLimit, Rate, RateControl, Red, RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed,
-    Timestamp, TrafficSource, UdpRate, WifiStandard, WirelessNetwork,
+    Codel, Conditions, Direction, Event, FixedRate, Link, NodeId, NodeKind, Pie, QueueDiscipline, QueueLimit,
+    Rate, RateControl, Red, RedThresholds, SensorKind, Service, ServiceTime, Stamped, Testbed, Timestamp,
+    TrafficSource, WifiStandard, WirelessNetwork,
 };
 use cotorra_testbed::{Altered, RunError, Unrecorded, simulate_unrecorded};
 
 use crate::{
     Carried, Measured, Run,
-    plain::{serves, stations},
-    scenario::{BEFORE, Load, Network, Queue, RadioUnit, Robot, Scenario, Sender, Traffic, Wire},
+    plain::{load, serves, stations},
+    scenario::{BEFORE, Network, Queue, RadioUnit, Robot, Scenario, Sender, Traffic, Wire},
 };
 
 /// Requests of the first second do not count: ns-3 looks for addresses, and rates begin at the slowest.
@@ -240,7 +240,7 @@ impl Seen {
             || graph.radio_units().filter(|(node, _)| serves(&node.kind) && used.contains(node.id.as_str()));
         let mut servers: BTreeSet<String> =
             senders.iter().flat_map(|sender| &sender.servers).map(|(_, server)| server.clone()).collect();
-        let traffic: Vec<_> = testbed.traffic.iter().map(|source| traffic(source, until)).collect();
+        let traffic: Vec<_> = testbed.traffic.iter().filter_map(|source| traffic(source, until)).collect();
         let is_server =
             |name: &NodeId| matches!(graph.node(name).map(|node| &node.kind), Some(NodeKind::Server(_)));
         let ends = || testbed.traffic.iter().flat_map(|source| [&source.from, &source.to]);
@@ -333,7 +333,7 @@ fn groups_of_sources(testbed: &Testbed) -> Vec<Group> {
     };
     let mut alike: Vec<(_, Vec<&TrafficSource>)> = Vec::new();
     for source in &testbed.traffic {
-        let kind = (source.load, place(&source.from), place(&source.to));
+        let kind = (&source.load, place(&source.from), place(&source.to));
         match alike.iter_mut().find(|(other, _)| *other == kind) {
             Some((_, sources)) => sources.push(source),
             None => alike.push((kind, vec![source])),
@@ -350,25 +350,16 @@ fn groups_of_sources(testbed: &Testbed) -> Vec<Group> {
     groups.collect()
 }
 
-fn traffic(source: &TrafficSource, until: Duration) -> Traffic {
-    Traffic {
+/// Returns a source of traffic for ns-3; `None` if ns-3 has none like it.
+fn traffic(source: &TrafficSource, until: Duration) -> Option<Traffic> {
+    Some(Traffic {
         name: source.id.to_string(),
         from: source.from.to_string(),
         to: source.to.to_string(),
         start_s: BEFORE + source.start.as_secs_f64(),
         stop_s: BEFORE + source.stop.map_or(until, |stop| stop.min(until)).as_secs_f64(),
-        load: match source.load {
-            cotorra_graph::Load::Udp { rate, size, arrivals } => Load::Udp {
-                bytes: size,
-                rate_bps: match rate {
-                    UdpRate::Saturated => None,
-                    UdpRate::Rate(rate) => Some(rate.bits_per_second()),
-                },
-                poisson: arrivals == Arrivals::Poisson,
-            },
-            cotorra_graph::Load::Tcp { congestion_control, bytes } => Load::Tcp { congestion_control, bytes },
-        },
-    }
+        load: load(source)?,
+    })
 }
 
 /// Returns what we compare of a source of traffic.

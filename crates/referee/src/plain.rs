@@ -3,9 +3,11 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    Access, Conditions, HardwareGraph, Loss, NodeId, NodeKind, Probability, Rate, RateControl, Requests,
-    Roaming, Testbed, WirelessNetwork,
+    Access, Arrivals, Conditions, HardwareGraph, Loss, NodeId, NodeKind, Probability, Rate, RateControl,
+    Requests, Roaming, Testbed, TrafficSource, UdpRate, WirelessNetwork,
 };
+
+use crate::scenario::Load;
 
 /// A testbed for both sides.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,6 +87,14 @@ fn plain_traffic(testbed: &mut Testbed, lines: &mut Lines) {
     let stays = |end: &NodeId| matches!(kind(end), Some(NodeKind::Robot(robot)) if robot.roaming == Roaming::default() && !has_plugins);
     let is_server = |end: &NodeId| matches!(kind(end), Some(NodeKind::Server(_)));
     traffic.retain(|source| {
+        if load(source).is_none() {
+            lines.left_out(format!(
+                "traffic of {}: in ns-3 it is UDP of one size, constant, at random or saturated, or a TCP connection, from host \
+                 to host",
+                source.id
+            ));
+            return false;
+        }
         let ends = [&source.from, &source.to];
         let is_plain = ends.iter().all(|end| stays(end) || is_server(end)) && ends.iter().any(|end| is_server(end));
         if !is_plain {
@@ -171,6 +181,30 @@ pub(crate) fn stations(network: &WirelessNetwork) -> (RateControl, bool) {
 /// Whether a node is a radio unit that serves.
 pub(crate) fn serves(kind: &NodeKind) -> bool {
     matches!(kind, NodeKind::RadioUnit(unit) if unit.serving)
+}
+
+/// Returns the load of a source of traffic for ns-3; `None` if ns-3 has none like it.
+pub(crate) fn load(source: &TrafficSource) -> Option<Load> {
+    use cotorra_graph::{DatagramSize::Constant, Load as Ours, Sends::Stream};
+    match source.load {
+        _ if source.over.is_some() => None,
+        Ours::Udp { rate, size: Constant(bytes), arrivals } => Some(Load::Udp {
+            bytes,
+            rate_bps: match rate {
+                UdpRate::Saturated => None,
+                UdpRate::Rate(rate) => Some(rate.bits_per_second()),
+            },
+            poisson: match arrivals {
+                Arrivals::Constant => false,
+                Arrivals::Poisson => true,
+                Arrivals::OnOff(_) => return None,
+            },
+        }),
+        Ours::Tcp { congestion_control, sends: Stream(bytes) } => {
+            Some(Load::Tcp { congestion_control, bytes })
+        }
+        Ours::Udp { .. } | Ours::Replay(_) | Ours::Tcp { .. } => None,
+    }
 }
 
 #[cfg(test)]

@@ -7,12 +7,14 @@ mod builder;
 mod compose;
 mod computing;
 mod containers;
+mod distributions;
 mod flows;
 mod kobuki;
 mod links;
 mod nodes;
 mod plugins;
 mod queues;
+mod recordings;
 mod ros;
 mod script;
 mod sensors;
@@ -76,7 +78,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     }
     let containers = builder.containers();
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
-    let traffic: Option<Vec<_>> = each(&record.traffic.0, |(id, traffic)| builder.traffic(id, traffic));
+    let traffic = builder.all_traffic(links.as_deref());
     let core = builder.core();
     let currency = builder.currency();
     let plugins = builder.plugins(core.as_ref().and_then(Option::as_ref));

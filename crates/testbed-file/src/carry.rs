@@ -30,7 +30,7 @@ const MAX_BYTES: u64 = file::MAX_TEXT as u64;
 pub struct Carried {
     /// The text, whose relative paths start at the new folder.
     pub text: String,
-    /// Map, traces, recorded conditions, files of commands, modules that Python programs import, readable folders, compose
+    /// Map, traces, recorded traffic and conditions, files of commands, modules that Python programs import, readable folders, compose
     /// files, and volumes.
     pub files: Vec<CarriedFile>,
 }
@@ -78,6 +78,7 @@ pub fn carry_all(texts: &[&str], folder: &Path, taken: &[&str]) -> (Vec<String>,
 #[derive(Clone, Copy)]
 pub(crate) enum Kind {
     Map,
+    /// A trace of a link, or recorded traffic.
     Trace,
     /// Measured demands of a VNF.
     Samples,
@@ -157,6 +158,8 @@ pub(crate) fn named(root: &Node) -> Vec<(Kind, &Node)> {
     let of_schedule = items(root, "schedule").filter_map(|its| its.get("set"));
     let traces = of_links.chain(of_schedule).filter_map(|its| its.get("trace"));
     found.extend(traces.map(|node| (Kind::Trace, node)));
+    let recorded = items(root, "traffic").flat_map(|its| [its.get("trace"), its.get("pcap")]);
+    found.extend(recorded.flatten().map(|node| (Kind::Trace, node)));
     let composed = items(root, "services").filter_map(|its| its.get("compose")?.get("file"));
     found.extend(composed.map(|node| (Kind::Compose, node)));
     let services = items(root, "services");

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     const TEXT: &str = "name: x # a comment\nmap: maps/hall.yaml\nlinks: [{ ends: [a, b], trace: 'a.trace' }]\n\
-        plugins:\n  - { id: a, command: [python3, one.py, log.txt, absent.txt] }\n  \
+        traffic: { t: { trace: t.csv }, p: { pcap: p.pcap } }\nplugins:\n  - { id: a, command: [python3, one.py, log.txt, absent.txt] }\n  \
         - { id: b, command: [./two], settings: { ledger: { key_store: key.json } }, enabled: false }\n";
 
     fn place() -> tempfile::TempDir {
@@ -111,6 +111,8 @@ mod tests {
             ("maps/hall.yaml", "image: hall.pgm\n"),
             ("maps/hall.pgm", ""),
             ("a.trace", ""),
+            ("t.csv", ""),
+            ("p.pcap", ""),
             ("one.py", "import module\n"),
             ("module.py", ""),
             ("log.txt", ""),
@@ -137,12 +139,14 @@ mod tests {
             ("maps/hall.yaml", false),
             ("module.py", false),
             ("one.py", false),
+            ("p.pcap", false),
+            ("t.csv", false),
         ]
         .map(|(path, is_argument)| (path.to_owned(), is_argument));
         assert_eq!(files(TEXT, place.path()), expected);
         let chosen = crate::annotated(TEXT, &["plugin=b".parse().unwrap()]);
         let names: Vec<_> = files(&chosen, place.path()).into_iter().map(|(name, _)| name).collect();
-        assert_eq!(names, ["a.trace", "maps/hall.pgm", "maps/hall.yaml", "two"]);
+        assert_eq!(names, ["a.trace", "maps/hall.pgm", "maps/hall.yaml", "p.pcap", "t.csv", "two"]);
     }
 
     #[test]

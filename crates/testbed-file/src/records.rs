@@ -1,16 +1,19 @@
 //! Records of a testbed file, key by key. The JSON Schema, and so editors, show the documentation here.
 
+mod distributions;
+mod traffic;
+
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, Arrivals, BackgroundScan, BitRate, Bound, ChannelWidth, CongestionControl, Correlation,
-    DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, FixedRate, GapPolicy, GuardInterval,
-    InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase,
-    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Reservations,
-    Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, TrafficId, UdpRate, VnfId, Volume,
-    WifiStandard,
+    AgentId, BackgroundScan, BitRate, Bound, ChannelWidth, Correlation, DataFormat, Dbm, Direction, DomainId,
+    Emulation, EngineKind, FixedRate, GapPolicy, GuardInterval, InstructionLimit, IpNetwork,
+    JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, Phase, PluginId, Position, Probability,
+    Protection, Pull, QueueLimit, Rate, RateControl, Requests, Reservations, Roaming, RobotModel, RosNetwork,
+    SensorId, ServiceId, Tier, TrafficId, VnfId, Volume, WifiStandard,
 };
 
+pub(crate) use self::{distributions::*, traffic::*};
 use crate::{
     image::{Device, Reference},
     walls::WallLoss,
@@ -52,7 +55,7 @@ record! {
         services: Table<ServiceId, ServiceRecord> = {},
         /// Walks of robots.
         walks: Table<NodeId, WalkRecord> = {},
-        /// Sources of traffic that need no program, by name, in virtual time: docs/use/traffic.md.
+        /// Sources of traffic that need no program, by name: docs/use/traffic.md.
         traffic: Table<TrafficId, TrafficRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
@@ -318,52 +321,6 @@ record! {
         /// Rate of all data frames: `MCS 7` of `n`, `ac` and `ax`, or `24 Mbit/s` of `a` and `g`. An MCS of `n` includes the
         /// streams, eight for each; one of `ac` and `ax` goes with all streams of the network.
         fixed: Spanned<FixedRate>,
-    }
-}
-
-tagged! {
-    /// A source of traffic that needs no program.
-    TrafficRecord by protocol {
-        "udp" => Udp(UdpTrafficRecord),
-        "tcp" => Tcp(TcpTrafficRecord),
-    }
-}
-
-record! {
-    /// Datagrams.
-    UdpTrafficRecord {
-        /// Rate of the payloads. A saturated source always has a packet for its first link.
-        rate: UdpRate,
-        /// Payload of a datagram, from 16 B to 1472 B.
-        size: Spanned<Bytes> = "1472 B",
-        /// Times between datagrams. Without it, they are constant. A saturated source has none.
-        arrivals: Option<Spanned<Arrivals>>,
-        ..path: TrafficPathRecord,
-    }
-}
-
-record! {
-    /// A connection.
-    TcpTrafficRecord {
-        /// Algorithm that says how much may be under way.
-        congestion_control: CongestionControl = "cubic",
-        /// Bytes to send in all. Without them, it sends until it stops.
-        bytes: Option<Spanned<Bytes>>,
-        ..path: TrafficPathRecord,
-    }
-}
-
-record! {
-    /// Path and time of a source of traffic.
-    TrafficPathRecord {
-        /// The robot, radio unit or server that sends.
-        from: Spanned<NodeId>,
-        /// The robot, radio unit or server that receives.
-        to: Spanned<NodeId>,
-        /// When it begins, from the run's start.
-        start: Duration = "0 s",
-        /// When it sends no new data any more. Without it, never.
-        stop: Option<Spanned<Duration>>,
     }
 }
 
@@ -1609,7 +1566,7 @@ choice!(ExchangeWord, "kind of exchange", {
     "times" => Self::Times, "handovers take the times of their phases";
     "frames" => Self::Frames, "handovers take as long as their frames on the air, with the timers of a kernel of 250 Hz";
 });
-choice!(SchedulingWord, "kind of scheduling", {
+choice!(SchedulingWord, "order of service", {
     "fifo" => Self::Fifo, "in the order of arrival, as many at a time as there are `workers`";
     "shared" => Self::Shared, "all at once, which share the VNF's CPUs evenly";
 });

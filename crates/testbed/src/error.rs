@@ -84,12 +84,17 @@ pub enum RunError {
          `--set wireless.{0}.wifi=model`"
     )]
     VirtualWifi(String),
-    /// Sources of traffic exist in virtual time only.
+    /// The fabric carries the packets of sources of traffic, and of nothing else.
     #[error(
-        "`{0}` is a source of traffic, which only virtual time has: run with `--simulate`, or leave `traffic` out and send \
-         real traffic by `cotorra exec NODE iperf3 …`"
+        "`{traffic}` is a source of traffic, and {reason}, so that its packets would not go where real ones do: run with \
+         `--simulate`, or leave `traffic` out and send real traffic by `cotorra exec NODE iperf3 …`"
     )]
-    RealTraffic(cotorra_graph::TrafficId),
+    RealTraffic {
+        /// The source.
+        traffic: cotorra_graph::TrafficId,
+        /// What is in its way.
+        reason: String,
+    },
     /// This machine has no engine for a container.
     #[error("VNF `{vnf}` starts in a container on `{node}`, and {source}")]
     NoEngine {

@@ -22,6 +22,7 @@ mod plugins;
 mod real;
 pub mod replay;
 mod report;
+mod traffic;
 mod twin;
 mod virtual_time;
 mod wifi;

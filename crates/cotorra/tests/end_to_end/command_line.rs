@@ -76,21 +76,6 @@ fn jitter_that_raises_the_mean_delay_is_warned_of_in_place() {
 }
 
 #[test]
-fn sources_of_traffic_are_rejected_with_real_packets() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("busy.yaml");
-    let text = "name: busy\nnodes:\n  a: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n  \
-        b: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\nlinks:\n  - { ends: [a, b], delay: 1 ms }\n\
-        traffic:\n  bulk: { from: a, to: b, protocol: tcp }\n";
-    fs::write(&file, text).unwrap();
-    let run =
-        output(["run".as_ref(), "--headless".as_ref(), "--until".as_ref(), "1s".as_ref(), file.as_os_str()]);
-    assert_eq!(run.status.code(), Some(1));
-    let errors = stderr(&run);
-    assert!(errors.contains("--simulate") && errors.contains("iperf3"), "{errors}");
-}
-
-#[test]
 fn a_closed_standard_error_does_not_change_the_exit_status() {
     let folder = tempfile::tempdir().unwrap();
     let bad = folder.path().join("bad.yaml");

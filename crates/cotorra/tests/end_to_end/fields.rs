@@ -61,6 +61,7 @@ links:
 traffic:
   bulk: { from: fog, to: edge, protocol: tcp, bytes: 10 kB }
   video: { from: edge, to: fog, protocol: udp, rate: 1 Mbit/s }
+  pages: { on: fog-edge, protocol: tcp, transfers: { size: 20 kB, think: 1 s } }
 ";
 
 /// Units by the suffix of a name.

@@ -68,6 +68,7 @@ mod sweep;
 mod terminal;
 mod time_parts;
 mod tls;
+mod traffic;
 mod turtlebot;
 #[cfg(feature = "ethereum")]
 mod two_cores;

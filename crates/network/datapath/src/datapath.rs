@@ -14,7 +14,7 @@ use cotorra_graph::{HardwareGraph, Node, NodeId, NodeKind, RadioKind};
 use crate::{
     awake::Awake,
     clock::Clock,
-    engine::{DepartureSink, Engine, EventSink, Handle, Sinks},
+    engine::{DepartureSink, Engine, EventSink, Handle, SharedSources, Sinks},
     error::{Action, Error},
     gateway::{self, GatewayTraffic, Opened},
     hosts::{self, Addresses, Host, PortKind, Watched},
@@ -42,6 +42,8 @@ pub struct Options {
     pub events: Option<EventSink>,
     /// Receiver of packets of robots that are with other cores.
     pub departures: Option<DepartureSink>,
+    /// Sources of traffic at ports of the fabric.
+    pub traffic: Option<SharedSources>,
     /// Interfaces that gateways and real servers may use even if they carry the default route.
     pub allowed_interfaces: Vec<String>,
     /// A network in which the kernel carries the packets between its own hosts. The fabric then only keeps the
@@ -123,7 +125,8 @@ impl Datapath {
             .ok();
         let shared = Arc::new(Shared::new().action("make an eventfd")?);
         let clock = Clock::start();
-        let sinks = Sinks { events: options.events, departures: options.departures };
+        let Options { events, departures, traffic, .. } = options;
+        let sinks = Sinks { events, departures, traffic };
         let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, sinks, air)
             .action("wait for the ports with epoll")?;
         let thread = thread::Builder::new()

@@ -10,6 +10,7 @@ use std::{
 
 use cotorra_fabric::{Departure, Fabric, Frame, PortId};
 use cotorra_graph::{Stamped, Timestamp};
+use cotorra_traffic::Sources;
 use parking_lot::Mutex;
 
 use crate::{
@@ -28,6 +29,8 @@ use crate::{
 const BATCH: usize = 64;
 /// The duration of one send in this many is measured.
 const MEASURED: u64 = 4;
+/// Most answers of sources of traffic to each other until ports have their turn: a link without a delay would never let them.
+const ROUNDS: usize = 16;
 /// Upper limit on a measured send. A longer one was interrupted by other load.
 const MOST_HANDOVER: Duration = Duration::from_micros(15);
 
@@ -36,6 +39,9 @@ pub type EventSink = Box<dyn FnMut(Stamped) + Send>;
 
 /// Receiver of packets for other cores. Runs on the fabric's thread and must not block.
 pub type DepartureSink = Box<dyn FnMut(Departure) + Send>;
+
+/// Sources of traffic. The fabric's thread drives them; others only look at them.
+pub type SharedSources = Arc<Mutex<Sources>>;
 
 /// Access to the fabric from any thread.
 #[derive(Clone)]
@@ -89,11 +95,12 @@ pub(crate) struct Engine {
     air: Option<Air>,
 }
 
-/// Receivers of what is no frame of a port.
+/// Where frames come from and go to that are no frames of a port, and where events go to.
 #[derive(Default)]
 pub(crate) struct Sinks {
     pub(crate) events: Option<EventSink>,
     pub(crate) departures: Option<DepartureSink>,
+    pub(crate) traffic: Option<SharedSources>,
 }
 
 /// The ports, and measurements of sending.
@@ -114,7 +121,8 @@ impl Ports {
         if self.shared.stopping.load(Ordering::Relaxed) {
             return;
         }
-        let port = &mut self.ports[index];
+        // A damaged frame of a source of traffic may come out of the end of a link, where no port is.
+        let Some(port) = self.ports.get_mut(index) else { return self.spent.push(frame) };
         if let Some(gate) = port.gate.clone() {
             return self.send_out(index, &gate, frame);
         }
@@ -288,11 +296,13 @@ impl Engine {
 
     /// Lets the fabric deliver what is due at ports, and returns its next deadline.
     fn poll_fabric(&mut self, now: Timestamp) -> Option<Timestamp> {
-        let ports = &mut self.ports;
-        let out = now + ports.handover;
+        let out = now + self.ports.handover;
         self.polled = self.polled.max(out);
-        let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
-        for frame in ports.spent.drain(..) {
+        let deadline = match self.sinks.traffic.clone() {
+            Some(sources) => self.poll_with_traffic(out, &mut sources.lock()),
+            None => self.fabric.poll(out, &mut |port, frame| self.ports.send(port, frame)),
+        };
+        for frame in self.ports.spent.drain(..) {
             self.fabric.recycle(frame);
         }
         if let Some(sink) = &mut self.sinks.events {
@@ -306,6 +316,31 @@ impl Engine {
             }
         }
         deadline
+    }
+
+    /// Lets the fabric also deliver what sources of traffic send, and what these answer, and returns the next deadline of both.
+    fn poll_with_traffic(&mut self, out: Timestamp, sources: &mut Sources) -> Option<Timestamp> {
+        let Self { fabric, ports, .. } = self;
+        let mut deadline = None;
+        for _ in 0..ROUNDS {
+            fabric.push_all(out, |fabric, buffer| {
+                let waiting = |from, to| fabric.waiting(PortId(from), PortId(to)) as usize;
+                sources.poll(out, waiting, buffer).map(PortId)
+            });
+            let mut is_settled = true;
+            deadline = fabric.poll(out, &mut |port, frame| {
+                if sources.handle(out, port.0, frame.bytes()) {
+                    is_settled = false;
+                    ports.spent.push(frame);
+                } else {
+                    ports.send(port, frame);
+                }
+            });
+            if is_settled {
+                break;
+            }
+        }
+        deadline.into_iter().chain(sources.deadline(out)).min()
     }
 
     /// Receives frames at a port. `arrived` is the estimated arrival of the first at a port that does not report it.

@@ -52,7 +52,7 @@ pub use capability::{Capability, CapabilityState, probe, probe_confinement, simu
 pub use clock::Clock;
 pub use confine::Confinement;
 pub use datapath::{Datapath, Options};
-pub use engine::{DepartureSink, EventSink, Handle};
+pub use engine::{DepartureSink, EventSink, Handle, SharedSources};
 pub use error::Error;
 pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Passed};
 pub use hosts::PortKind;

@@ -3,6 +3,7 @@
 
 mod elsewhere;
 mod lending;
+mod link_ends;
 mod observers;
 mod paths;
 mod sources;
@@ -317,12 +318,15 @@ impl Fabric {
     /// the port as its sender is dropped, and in [`Self::forged_sources`] only.
     pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
         let now = self.advance(now);
-        if port.0 >= self.ports.len() {
-            self.drops.unroutable += 1;
-            return self.pool.put(frame.into_bytes());
-        }
         if frame.check().is_err() {
             self.drops.malformed += 1;
+            return self.pool.put(frame.into_bytes());
+        }
+        if port.0 >= self.ports.len() {
+            if let Some(edge) = self.edge_from(port) {
+                return self.push_at_end(now, edge, frame);
+            }
+            self.drops.unroutable += 1;
             return self.pool.put(frame.into_bytes());
         }
         let Port { vertex, reach, .. } = self.ports[port.0];
@@ -353,6 +357,20 @@ impl Fabric {
         self.settle(now);
     }
 
+    /// Sends the frames of a source that makes one after the other, into buffers of the fabric. `next` returns a frame's port,
+    /// or `None` once there is none for now.
+    pub fn push_all(
+        &mut self,
+        now: Timestamp,
+        mut next: impl FnMut(&mut Self, &mut Vec<u8>) -> Option<PortId>,
+    ) {
+        loop {
+            let mut buffer = self.buffer(0);
+            let Some(port) = next(self, &mut buffer) else { return self.pool.put(buffer) };
+            self.push(now, port, Frame::new(buffer));
+        }
+    }
+
     /// Hands out every frame that is due, and returns the next deadline; `None` until another frame is pushed or
     /// something changes.
     ///
@@ -362,10 +380,14 @@ impl Fabric {
         while let Some((due, port, mut frame)) = self.outbox.pop_front() {
             self.lateness.record(now.since(due));
             self.balance.delivered += u64::from(frame.wire_packets());
+            let Some(behind) = self.ports.get(port.0).map(Port::behind) else {
+                deliver(port, frame);
+                continue;
+            };
             if self.observers.is_some() {
                 self.observe_delivery(now, due, port, &mut frame);
             }
-            deliver(self.ports[port.0].behind().unwrap_or(port), frame);
+            deliver(behind.unwrap_or(port), frame);
         }
         if self.observers.is_some() {
             self.observe_drops();
@@ -684,6 +706,7 @@ impl Fabric {
         }
         match packet.purpose {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
+            Purpose::FromEndToEnd => self.deliver_at_end(now, edge, packet.frame),
             Purpose::ThroughputTest => {
                 self.link_tests.test_crossed(now, edge);
                 self.pool.put(packet.frame.into_bytes());

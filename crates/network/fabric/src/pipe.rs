@@ -24,6 +24,8 @@ use crate::{
 pub(crate) enum Purpose {
     /// It is on its way to a target.
     Target(Target),
+    /// It only loads the link.
+    FromEndToEnd,
     /// It measures the link's delay, jitter and loss.
     Probe,
     /// It measures the link's throughput.
@@ -49,7 +51,7 @@ impl Packet {
 
     /// Whether the link's counters include it. Packets that only measure are not counted.
     pub(crate) fn counts(&self) -> bool {
-        matches!(self.purpose, Purpose::Target(_))
+        matches!(self.purpose, Purpose::Target(_) | Purpose::FromEndToEnd)
     }
 
     fn copy(&self, pool: &mut Pool) -> Self {

@@ -3,6 +3,8 @@
 #![warn(missing_docs)]
 
 mod bbr;
+mod completions;
+mod connections;
 mod measured;
 mod receiver;
 mod rtt;
@@ -15,12 +17,15 @@ mod window;
 use std::collections::HashMap;
 
 use cotorra_flows::headers::{ETHERNET, IPV4, u16_at};
-use cotorra_graph::{Load, NodeId, Timestamp, TrafficSource};
-use cotorra_numbers::{Draws, Quantiles};
+use cotorra_graph::{Load, Timestamp, TrafficSource};
+use cotorra_numbers::{Draws, Gathered, Quantiles};
 
-pub use measured::{Measured, TcpMeasured, UdpMeasured};
+pub use measured::{CompletionTimes, Measured, TcpMeasured, TransfersMeasured, UdpMeasured};
 
-use crate::{segment::Ends, tcp::Connection};
+use crate::{
+    connections::Connections,
+    segment::{Ends, address},
+};
 
 /// Ports of the first source, at both ends. Each source has its own.
 const FIRST_PORT: u16 = 61_000;
@@ -30,7 +35,8 @@ pub const MOST: usize = 4000;
 /// Both ends of all sources of traffic.
 ///
 /// [`Self::poll`] gives frames to send, [`Self::handle`] takes frames that arrive at a host, and [`Self::deadline`] tells when to
-/// poll again. Hosts are named by their place among all hosts, which gives their addresses.
+/// poll again. Hosts are named by their place among all hosts, which gives their addresses. Ends of links have places behind
+/// those of hosts.
 #[derive(Debug, Default)]
 pub struct Sources {
     flows: Vec<Flow>,
@@ -50,31 +56,41 @@ struct Flow {
 
 #[derive(Debug)]
 enum Transport {
-    Udp(udp::Source, udp::Sink),
-    Tcp(Box<Connection>),
+    Udp(Box<udp::Source>, udp::Sink),
+    Tcp(Box<Connections>),
 }
 
 impl Sources {
-    /// Creates the sources. `place` returns the place of a host among all; sources at others are left out.
-    pub fn new(specs: &[TrafficSource], place: impl Fn(&NodeId) -> Option<usize>, seed: u64) -> Self {
+    /// Creates the sources. `places` returns the places of a source's ends; sources without are left out.
+    pub fn new(
+        specs: &[TrafficSource],
+        places: impl Fn(&TrafficSource) -> Option<[usize; 2]>,
+        seed: u64,
+    ) -> Self {
         let mut sources = Self::default();
         for (spec, port) in specs.iter().take(MOST).zip(FIRST_PORT..) {
-            let (Some(from), Some(to)) = (place(&spec.from), place(&spec.to)) else { continue };
-            let draws = Draws::new(seed, &format!("traffic {}", spec.id));
+            let Some([from, to]) = places(spec) else { continue };
+            let ends = Ends { from: (from, port), to: (to, port) };
+            let draws =
+                ["traffic", "sizes of traffic"].map(|of| Draws::new(seed, &format!("{of} {}", spec.id)));
             let start = Timestamp::ZERO + spec.start;
-            let transport = match spec.load {
+            let transport = match spec.load.clone() {
                 Load::Udp { rate, size, arrivals } => {
                     let source = udp::Source::new(start, rate, size, arrivals, draws);
-                    Transport::Udp(source, udp::Sink::default())
+                    Transport::Udp(Box::new(source), udp::Sink::default())
                 }
-                Load::Tcp { congestion_control, bytes } => {
-                    Transport::Tcp(Box::new(Connection::new(congestion_control, bytes, draws)))
+                Load::Replay(replay) => {
+                    Transport::Udp(Box::new(udp::Source::replay(start, replay)), udp::Sink::default())
+                }
+                Load::Tcp { congestion_control, sends } => {
+                    let connections = Connections::new(congestion_control, sends, (start, ends), draws);
+                    Transport::Tcp(Box::new(connections))
                 }
             };
             sources.by_port.insert(port, sources.flows.len());
             sources.flows.push(Flow {
                 spec: spec.clone(),
-                ends: Ends { from: (from, port), to: (to, port) },
+                ends,
                 start,
                 stop: spec.stop.map_or(Timestamp::MAX, |stop| Timestamp::ZERO + stop),
                 transport,
@@ -82,6 +98,16 @@ impl Sources {
             });
         }
         sources
+    }
+
+    /// Measures from now on how late datagrams are sent, which they are in real time.
+    pub fn in_real_time(mut self) -> Self {
+        for flow in &mut self.flows {
+            if let Transport::Udp(source, _) = &mut flow.transport {
+                source.lateness_us = Some(Gathered::default());
+            }
+        }
+        self
     }
 
     /// Whether there are none.
@@ -107,10 +133,27 @@ impl Sources {
 
     /// Takes a frame that arrives at a host. Returns whether it is a source's.
     pub fn handle(&mut self, now: Timestamp, host: usize, frame: &[u8]) -> bool {
-        // The destination of UDP and of TCP is at the same place.
-        let port = u16_at(frame, ETHERNET + IPV4 + 2);
-        let flow = port.and_then(|port| self.by_port.get(&port)).map(|&place| &mut self.flows[place]);
-        flow.is_some_and(|flow| flow.handle(now, host, frame))
+        // The ports of UDP and of TCP are at the same place.
+        let (Some(from), Some(to)) = (u16_at(frame, ETHERNET + IPV4), u16_at(frame, ETHERNET + IPV4 + 2))
+        else {
+            return false;
+        };
+        // A source has its port at the host that receives. At the other, each transfer has one of its own.
+        for (port, client, arrives) in [(to, from, true), (from, to, false)] {
+            if let Some(&place) = self.by_port.get(&port) {
+                let flow = &mut self.flows[place];
+                let (here, there) = if arrives {
+                    (flow.ends.to.0, flow.ends.from.0)
+                } else {
+                    (flow.ends.from.0, flow.ends.to.0)
+                };
+                if here == host && is_from(frame, there) {
+                    flow.handle(now, client, arrives, frame);
+                    return true;
+                }
+            }
+        }
+        false
     }
 
     /// Returns what arrived of each source's traffic, until now.
@@ -134,15 +177,11 @@ impl Flow {
                 sends.then(|| source.write(now, self.ends, frame))?;
                 Some(self.ends.from.0)
             }
-            Transport::Tcp(connection) => {
+            Transport::Tcp(connections) => {
                 if now < self.start {
                     return None;
                 }
-                if now >= self.stop {
-                    connection.stop();
-                }
-                let (segment, is_answer) = connection.poll(now)?;
-                let ends = if is_answer { self.ends.reversed() } else { self.ends };
+                let (segment, ends) = connections.poll(now, self.stop, self.ends)?;
                 segment.write(ends, frame);
                 Some(ends.from.0)
             }
@@ -153,20 +192,14 @@ impl Flow {
         match &self.transport {
             Transport::Udp(source, _) => Some(source.deadline().max(self.start)).filter(|&at| at < self.stop),
             Transport::Tcp(_) if now < self.start => Some(self.start),
-            Transport::Tcp(connection) => connection.deadline(now),
+            Transport::Tcp(connections) => connections.deadline(now, self.stop),
         }
     }
 
-    fn handle(&mut self, now: Timestamp, host: usize, frame: &[u8]) -> bool {
-        if host != self.ends.to.0 && host != self.ends.from.0 {
-            return false;
-        }
+    fn handle(&mut self, now: Timestamp, client: u16, arrives: bool, frame: &[u8]) {
         let bytes = match &mut self.transport {
             Transport::Udp(_, sink) => sink.handle(now, self.ends, frame).unwrap_or(0),
-            Transport::Tcp(connection) => {
-                let forth = Some(self.ends).filter(|ends| ends.to.0 == host);
-                connection.handle(now, forth, self.ends.reversed(), frame)
-            }
+            Transport::Tcp(connections) => connections.handle(now, client, arrives, frame),
         };
         if bytes > 0 {
             let second = now.as_nanos() as usize / 1_000_000_000;
@@ -175,7 +208,6 @@ impl Flow {
             }
             self.seconds[second] += bytes;
         }
-        true
     }
 
     fn measured(&self, now: Timestamp) -> Measured {
@@ -184,11 +216,13 @@ impl Flow {
             Transport::Udp(source, sink) => {
                 let lost = source.sent.saturating_sub(sink.received);
                 let delay_ms = Quantiles::gathered(&sink.delays);
-                let udp = UdpMeasured { received_packets: sink.received, lost, delay_ms };
+                let sent_lateness_us = source.lateness_us.as_ref().and_then(Quantiles::gathered);
+                let received_packets = sink.received;
+                let udp = UdpMeasured { received_packets, lost, delay_ms, sent_lateness_us };
                 (source.sent, Some(udp), None, None)
             }
-            Transport::Tcp(connection) => {
-                let (sent, tcp, finished) = connection.measured(self.start);
+            Transport::Tcp(connections) => {
+                let (sent, tcp, finished) = connections.measured(self.start);
                 (sent, None, Some(tcp), finished)
             }
         };
@@ -197,6 +231,8 @@ impl Flow {
             source: self.spec.id.clone(),
             from: self.spec.from.clone(),
             to: self.spec.to.clone(),
+            link: self.spec.over.as_ref().map(|over| over.link.clone()),
+            direction: self.spec.over.as_ref().map(|over| over.direction),
             sent_packets: sent,
             bytes,
             goodput_bps: if seconds > 0.0 { bytes as f64 * 8.0 / seconds } else { 0.0 },
@@ -207,5 +243,12 @@ impl Flow {
     }
 }
 
+/// Whether a frame names a host as the sender of its IPv4 packet.
+fn is_from(frame: &[u8], host: usize) -> bool {
+    frame.get(ETHERNET + 12..ETHERNET + 16).is_some_and(|source| source == address(host).ipv4.octets())
+}
+
+#[cfg(test)]
+mod processes;
 #[cfg(test)]
 mod tests;

@@ -35,7 +35,7 @@ impl Ends {
 
     /// Replaces `frame` by headers of Ethernet and IPv4, for a payload of so many bytes. Returns both IP addresses.
     pub(crate) fn begin(self, frame: &mut Vec<u8>, protocol: u8, payload: usize) -> [u8; 8] {
-        let (sender, receiver) = (HostAddress::of(self.from.0), HostAddress::of(self.to.0));
+        let (sender, receiver) = (address(self.from.0), address(self.to.0));
         let (source, destination) = (sender.ipv4, receiver.ipv4);
         let fragment = Ipv4::DONT_FRAGMENT;
         let header = Ipv4 { identification: 0, fragment, ttl: 64, protocol, source, destination };
@@ -49,6 +49,12 @@ impl Ends {
         addresses[4..].copy_from_slice(&destination.octets());
         addresses
     }
+}
+
+/// Returns the addresses of a host, or of an end of a link. Frames that cross a link from end to end are routed by nobody, so
+/// that the addresses of many ends may be used twice.
+pub(crate) fn address(place: usize) -> HostAddress {
+    HostAddress::of(place % HostAddress::MAX_HOSTS)
 }
 
 /// A range of sequence numbers, the end excluded.
@@ -110,7 +116,7 @@ impl Segment {
 
     /// Reads the segment in a frame that this end receives; `None` if there is none, or if it is damaged.
     pub fn read(ends: Ends, frame: &[u8]) -> Option<Self> {
-        let (sender, receiver) = (HostAddress::of(ends.from.0).ipv4, HostAddress::of(ends.to.0).ipv4);
+        let (sender, receiver) = (address(ends.from.0).ipv4, address(ends.to.0).ipv4);
         let is_tcp = u16_at(frame, ETHERNET - 2)? == ETHERTYPE_IPV4
             && *frame.get(ETHERNET)? == 0x45
             && *frame.get(ETHERNET + 9)? == PROTOCOL_TCP;

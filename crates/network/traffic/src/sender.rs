@@ -65,6 +65,14 @@ pub(crate) struct Counts {
     pub timeouts: u64,
 }
 
+impl std::ops::AddAssign for Counts {
+    fn add_assign(&mut self, other: Self) {
+        self.sent += other.sent;
+        self.retransmitted += other.retransmitted;
+        self.timeouts += other.timeouts;
+    }
+}
+
 #[derive(Debug, Clone)]
 enum Control {
     Window(Window),

@@ -1,15 +1,14 @@
 //! A TCP connection with both of its ends.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{CongestionControl, Timestamp};
-use cotorra_numbers::{Draws, Gathered, Quantiles};
+use cotorra_numbers::Draws;
 
 use crate::{
-    measured::{TcpMeasured, gather},
     receiver::Receiver,
     segment::{Ends, Segment},
-    sender::Sender,
+    sender::{Counts, Sender},
 };
 
 /// A connection whose sender and receiver are at two hosts.
@@ -19,10 +18,17 @@ pub(crate) struct Connection {
     receiver: Receiver,
     /// Acknowledgements to send.
     answers: VecDeque<Segment>,
-    round_trips: Gathered,
-    /// Bytes to send in all.
-    bytes: Option<u64>,
-    finished: Option<Timestamp>,
+}
+
+/// What a frame brought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Brought {
+    /// Bytes that newly arrived in order.
+    Data(u64),
+    /// An acknowledgement, with the round trip that it measures.
+    Acknowledgement(Option<Duration>),
+    /// It is damaged, or another connection's.
+    Nothing,
 }
 
 impl Connection {
@@ -31,9 +37,6 @@ impl Connection {
             sender: Sender::new(congestion_control, bytes, draws),
             receiver: Receiver::default(),
             answers: VecDeque::new(),
-            round_trips: Gathered::default(),
-            bytes,
-            finished: None,
         }
     }
 
@@ -54,34 +57,37 @@ impl Connection {
         [answer, self.receiver.deadline(), self.sender.deadline(now)].into_iter().flatten().min()
     }
 
-    /// Takes a frame at the receiver, whose ends are `forth`, or at the sender. Returns the bytes that newly arrived in order.
-    pub(crate) fn handle(&mut self, now: Timestamp, forth: Option<Ends>, back: Ends, frame: &[u8]) -> u64 {
-        if let Some(segment) = forth.and_then(|ends| Segment::read(ends, frame)) {
-            let before = self.receiver.bytes();
-            self.answers.extend(self.receiver.handle(now, &segment));
-            return self.receiver.bytes() - before;
-        }
-        if let Some(segment) = Segment::read(back, frame) {
-            if let Some(sample) = self.sender.handle(now, &segment) {
-                gather(&mut self.round_trips, sample);
+    /// Takes a frame between these ends: at the receiver if it `arrives`, else at the sender.
+    pub(crate) fn handle(&mut self, now: Timestamp, ends: Ends, arrives: bool, frame: &[u8]) -> Brought {
+        let ends = if arrives { ends } else { ends.reversed() };
+        match Segment::read(ends, frame) {
+            Some(segment) if arrives => {
+                let before = self.receiver.bytes();
+                self.answers.extend(self.receiver.handle(now, &segment));
+                Brought::Data(self.receiver.bytes() - before)
             }
-            if self.finished.is_none() && self.bytes.is_some_and(|bytes| self.sender.has_delivered(bytes)) {
-                self.finished = Some(now);
-            }
+            Some(segment) => Brought::Acknowledgement(self.sender.handle(now, &segment)),
+            None => Brought::Nothing,
         }
-        0
     }
 
-    /// Returns the packets that were sent, what was measured, and when all bytes were acknowledged.
-    pub(crate) fn measured(&self, start: Timestamp) -> (u64, TcpMeasured, Option<Timestamp>) {
-        let counts = self.sender.counts();
-        let measured = TcpMeasured {
-            retransmitted_packets: counts.retransmitted,
-            timeouts: counts.timeouts,
-            smoothed_round_trip_ms: self.sender.round_trips().smoothed().map(|trip| trip.as_secs_f64() * 1e3),
-            round_trip_ms: Quantiles::gathered(&self.round_trips),
-            finished_after_ms: self.finished.map(|at| at.since(start).as_secs_f64() * 1e3),
-        };
-        (counts.sent, measured, self.finished)
+    /// Whether so many bytes arrived in order.
+    pub(crate) fn has_arrived(&self, bytes: u64) -> bool {
+        self.receiver.bytes() >= bytes
+    }
+
+    /// Whether so many bytes are acknowledged.
+    pub(crate) fn has_delivered(&self, bytes: u64) -> bool {
+        self.sender.has_delivered(bytes)
+    }
+
+    /// Returns what the sender did.
+    pub(crate) fn counts(&self) -> Counts {
+        self.sender.counts()
+    }
+
+    /// Returns the smoothed round trip.
+    pub(crate) fn smoothed_round_trip(&self) -> Option<Duration> {
+        self.sender.round_trips().smoothed()
     }
 }

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Arrivals, BitRate, CongestionControl, UdpRate};
+use cotorra_graph::{Arrivals, BitRate, CongestionControl, DatagramSize, Sends, UdpRate};
 use proptest::prelude::*;
 
 use super::*;
@@ -52,19 +52,19 @@ fn id<T: std::str::FromStr<Err: std::fmt::Debug>>(name: &str) -> T {
 }
 
 fn source(name: &str, load: Load) -> TrafficSource {
-    TrafficSource { id: id(name), from: id("robot"), to: id("edge"), start: Duration::ZERO, stop: None, load }
+    let (from, to, start) = (id("robot"), id("edge"), Duration::ZERO);
+    TrafficSource { id: id(name), from, to, over: None, start, stop: None, load }
 }
 
 fn tcp(congestion_control: CongestionControl, bytes: Option<u64>) -> TrafficSource {
-    source("bulk", Load::Tcp { congestion_control, bytes })
+    source("bulk", Load::Tcp { congestion_control, sends: Sends::Stream(bytes) })
 }
 
 impl World {
     fn new(path: Path, sources: &[TrafficSource]) -> Self {
-        let place = |node: &NodeId| ["robot", "edge"].iter().position(|&name| *node == name);
         Self {
             path,
-            sources: Sources::new(sources, place, 1),
+            sources: Sources::new(sources, |_| Some([0, 1]), 1),
             now: Timestamp::ZERO,
             free: Timestamp::ZERO,
             flying: BinaryHeap::new(),
@@ -214,7 +214,7 @@ fn a_connection_survives_that_its_path_is_away() {
 #[test]
 fn datagrams_beyond_the_rate_of_the_bottleneck_are_lost() {
     let rate = UdpRate::Rate(BitRate::from_mbps(20.0).unwrap());
-    let load = Load::Udp { rate, size: 1472, arrivals: Arrivals::Constant };
+    let load = Load::Udp { rate, size: DatagramSize::Constant(1472), arrivals: Arrivals::Constant };
     let mut spec = source("video", load);
     (spec.start, spec.stop) = (Duration::from_secs(1), Some(Duration::from_secs(11)));
     let mut world = World::new(Path::new(10.0, 20 * MS, 50 * MS), &[spec]);
@@ -256,7 +256,7 @@ proptest! {
             prop::collection::vec((0u32..20_000, 0u32..20_000), 0..4), 0usize..1449), 0..60),
         control in prop::sample::select(&ALL[..]),
     ) {
-        let mut sources = Sources::new(&[tcp(control, None)], |node| Some(usize::from(*node == "edge")), 1);
+        let mut sources = Sources::new(&[tcp(control, None)], |_| Some([0, 1]), 1);
         let (forth, mut frame) = (sources.flows[0].ends, Vec::new());
         let mut now = Timestamp::ZERO;
         for (is_forth, syn, sequence, ack, sacked, payload) in segments {

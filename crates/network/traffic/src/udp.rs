@@ -6,61 +6,195 @@ use cotorra_flows::{
     Datagram, Frame,
     headers::{PROTOCOL_UDP, UDP, UDP_CHECKSUM, udp_checksum, udp_header},
 };
-use cotorra_graph::{Arrivals, HostAddress, Timestamp, UdpRate};
-use cotorra_numbers::{Draws, Gathered};
+use cotorra_graph::{Arrivals, BitRate, DatagramSize, HostAddress, OnOff, Replay, Timestamp, UdpRate};
+use cotorra_numbers::{Distribution, Draws, Gathered};
 
-use crate::segment::Ends;
+use crate::{
+    measured::gather,
+    segment::{Ends, address},
+};
 
 /// Packets that a saturated source keeps at its first link: more than an aggregate of 802.11n has.
 pub(crate) const SATURATED: usize = 128;
 /// Time after which a saturated source tries again when its host took no packet.
 const RETRY: Duration = Duration::from_millis(1);
+/// Longest time until a datagram or a transfer, seconds: more than runs take.
+const LONGEST: f64 = 1e9;
 /// Missing datagrams that may still arrive. Older ones are lost.
 const MOST_MISSING: usize = 10_000;
 
 /// A source of datagrams.
 #[derive(Debug, Clone)]
 pub(crate) struct Source {
-    pub size: u16,
     pub sent: u64,
+    /// Bytes of the latest datagram's payload.
+    size: u16,
     pace: Pace,
     next: Timestamp,
+    /// How late datagrams with a time are sent, µs; `None` in virtual time, where none is.
+    pub lateness_us: Option<Gathered>,
 }
 
 #[derive(Debug, Clone)]
 enum Pace {
-    Constant(Duration),
-    Poisson(f64, Box<Draws>),
+    Timed(Sizes, Timing),
     /// Packets that were at the first link before the last one was sent.
-    Saturated(Option<usize>),
+    Saturated(Sizes, Option<usize>),
+    Replay(Playback),
+}
+
+/// Sizes of datagrams, and the random numbers for them.
+#[derive(Debug, Clone)]
+struct Sizes(DatagramSize, Box<Draws>);
+
+impl Sizes {
+    fn draw(&mut self) -> u16 {
+        self.0.sample(&mut self.1)
+    }
+}
+
+/// Times between datagrams.
+#[derive(Debug, Clone)]
+enum Timing {
+    Constant(BitRate),
+    Poisson(Distribution, Box<Draws>),
+    OnOff(Box<Periods>),
+}
+
+/// Periods with and without datagrams, in turns.
+#[derive(Debug, Clone)]
+struct Periods {
+    spec: OnOff,
+    /// Rate of payloads in periods with datagrams, bit/s.
+    peak_bps: f64,
+    /// Rest of the current period with datagrams, seconds.
+    left: f64,
+    draws: Draws,
+}
+
+impl Periods {
+    /// Begins in a period with datagrams as often as there is one.
+    fn new(spec: OnOff, rate: BitRate, mut draws: Draws) -> Self {
+        let share = spec.share_on();
+        let left = if draws.unit() < share { spec.on.sample(&mut draws) } else { 0.0 };
+        Self { spec, peak_bps: rate.bits_per_second() as f64 / share, left, draws }
+    }
+
+    /// Returns the time in which periods with datagrams have passed for so long.
+    fn pass(&mut self, mut on: f64) -> f64 {
+        let mut passed = 0.0;
+        while on > self.left {
+            on -= self.left;
+            passed += self.left + self.spec.off.sample(&mut self.draws);
+            self.left = self.spec.on.sample(&mut self.draws);
+        }
+        self.left -= on;
+        passed + on
+    }
+}
+
+impl Timing {
+    fn new(rate: BitRate, mean_size: f64, arrivals: Arrivals, draws: Draws) -> Self {
+        match arrivals {
+            Arrivals::Constant => Self::Constant(rate),
+            Arrivals::Poisson => {
+                let gaps = Distribution::exponential(mean_gap(rate, mean_size));
+                Self::Poisson(gaps.expect("a rate is finite and above 0"), Box::new(draws))
+            }
+            Arrivals::OnOff(spec) => Self::OnOff(Box::new(Periods::new(spec, rate, draws))),
+        }
+    }
+
+    /// Returns the time until the first datagram. Only one at a constant rate comes at once.
+    fn first(&mut self, mean_size: f64) -> Duration {
+        match self {
+            Self::Constant(_) => Duration::ZERO,
+            // A Poisson process does not begin with an arrival.
+            Self::Poisson(gaps, draws) => duration(gaps.sample(draws)),
+            Self::OnOff(periods) => {
+                let phase = periods.draws.unit();
+                duration(periods.pass(phase * mean_size * 8.0 / periods.peak_bps))
+            }
+        }
+    }
+
+    /// Returns the time from a datagram of so many bytes to the next.
+    fn gap(&mut self, size: u16) -> Duration {
+        match self {
+            Self::Constant(rate) => rate.serialisation(size.into()),
+            Self::Poisson(gaps, draws) => duration(gaps.sample(draws)),
+            Self::OnOff(periods) => duration(periods.pass(f64::from(size) * 8.0 / periods.peak_bps)),
+        }
+    }
+}
+
+/// Returns the mean time between datagrams, seconds. Of whole bytes, it is that of their serialisation.
+fn mean_gap(rate: BitRate, mean_size: f64) -> f64 {
+    if mean_size.fract() == 0.0 {
+        rate.serialisation(mean_size as usize).as_secs_f64()
+    } else {
+        mean_size * 8.0 / rate.bits_per_second() as f64
+    }
+}
+
+/// Returns a time that no run outlasts if it is longer.
+pub(crate) fn duration(seconds: f64) -> Duration {
+    Duration::from_secs_f64(seconds.min(LONGEST))
+}
+
+/// A recording that is sent again.
+#[derive(Debug, Clone)]
+struct Playback {
+    replay: Replay,
+    place: usize,
+    /// When it began anew.
+    began: Timestamp,
+}
+
+impl Playback {
+    /// Returns when the datagram at the place is due; never behind the end of one that comes once.
+    fn due(&self) -> Timestamp {
+        let datagram = self.replay.datagrams.get(self.place);
+        datagram.map_or(Timestamp::MAX, |datagram| self.began + datagram.at)
+    }
+
+    /// Moves to the next datagram, and returns the size of the last.
+    fn advance(&mut self) -> u16 {
+        let size = self.replay.datagrams[self.place].size;
+        self.place += 1;
+        if let Some(period) = self.replay.period.filter(|_| self.place == self.replay.datagrams.len()) {
+            self.place = 0;
+            self.began = self.began + period;
+        }
+        size
+    }
 }
 
 impl Source {
-    pub(crate) fn new(start: Timestamp, rate: UdpRate, size: u16, arrivals: Arrivals, draws: Draws) -> Self {
-        let pace = match rate {
-            UdpRate::Saturated => Pace::Saturated(None),
+    /// Creates a source of datagrams of a size at a rate.
+    pub(crate) fn new(
+        start: Timestamp,
+        rate: UdpRate,
+        size: DatagramSize,
+        arrivals: Arrivals,
+        [draws, of_sizes]: [Draws; 2],
+    ) -> Self {
+        let (sizes, mean) = (Sizes(size, Box::new(of_sizes)), size.mean());
+        let (pace, first) = match rate {
+            UdpRate::Saturated => (Pace::Saturated(sizes, None), Duration::ZERO),
             UdpRate::Rate(rate) => {
-                let interval = rate.serialisation(size.into());
-                match arrivals {
-                    Arrivals::Constant => Pace::Constant(interval),
-                    Arrivals::Poisson => Pace::Poisson(interval.as_secs_f64(), Box::new(draws)),
-                }
+                let mut timing = Timing::new(rate, mean, arrivals, draws);
+                let first = timing.first(mean);
+                (Pace::Timed(sizes, timing), first)
             }
         };
-        let mut source = Self { size, sent: 0, pace, next: start };
-        // A Poisson process does not begin with an arrival.
-        if let Pace::Poisson(..) = source.pace {
-            source.next = start + source.gap();
-        }
-        source
+        Self { sent: 0, size: 0, pace, next: start + first, lateness_us: None }
     }
 
-    fn gap(&mut self) -> Duration {
-        match &mut self.pace {
-            Pace::Constant(interval) => *interval,
-            Pace::Poisson(mean, draws) => Duration::from_secs_f64(-*mean * (1.0 - draws.unit()).ln()),
-            Pace::Saturated(_) => RETRY,
-        }
+    /// Creates a source of recorded datagrams.
+    pub(crate) fn replay(start: Timestamp, replay: Replay) -> Self {
+        let playback = Playback { replay, place: 0, began: start };
+        Self { sent: 0, size: 0, next: playback.due(), pace: Pace::Replay(playback), lateness_us: None }
     }
 
     /// Returns when [`Self::poll`] may have a datagram.
@@ -70,19 +204,31 @@ impl Source {
 
     /// Whether to send a datagram now, with so many packets at the host's first link. Call it until it is false.
     pub(crate) fn poll(&mut self, now: Timestamp, waiting: impl FnOnce() -> usize) -> bool {
-        if let Pace::Saturated(before) = &mut self.pace {
-            let waiting = waiting();
-            let is_taken = before.is_none_or(|before| waiting > before);
-            if waiting >= SATURATED || !is_taken {
-                *before = None;
-                self.next = now + RETRY;
-                return false;
+        let due = self.next;
+        match &mut self.pace {
+            Pace::Saturated(sizes, before) => {
+                let waiting = waiting();
+                let is_taken = before.is_none_or(|before| waiting > before);
+                if waiting >= SATURATED || !is_taken {
+                    *before = None;
+                    self.next = now + RETRY;
+                    return false;
+                }
+                *before = Some(waiting);
+                self.size = sizes.draw();
             }
-            *before = Some(waiting);
-        } else if self.next > now {
-            return false;
-        } else {
-            self.next = self.next + self.gap();
+            _ if self.next > now => return false,
+            Pace::Timed(sizes, timing) => {
+                self.size = sizes.draw();
+                self.next = self.next + timing.gap(self.size);
+            }
+            Pace::Replay(playback) => {
+                self.size = playback.advance();
+                self.next = playback.due();
+            }
+        }
+        if let (Some(lateness), Pace::Timed(..) | Pace::Replay(_)) = (&mut self.lateness_us, &self.pace) {
+            lateness.add(now.since(due).as_secs_f64() * 1e6);
         }
         self.sent += 1;
         true
@@ -116,11 +262,11 @@ pub(crate) struct Sink {
 impl Sink {
     /// Takes a frame. Returns the bytes of the payload, unless it is not for this sink, or came before.
     pub(crate) fn handle(&mut self, now: Timestamp, ends: Ends, frame: &[u8]) -> Option<u64> {
-        let HostAddress { mac, ipv4, .. } = HostAddress::of(ends.to.0);
+        let (HostAddress { mac, ipv4, .. }, sender) = (address(ends.to.0), address(ends.from.0));
         let frame = Frame { bytes: frame, checksum_left: false, segment: None };
         let datagram = Datagram::received(&frame, mac, ipv4)?;
         let from = (*datagram.from.ip(), datagram.from.port());
-        if from != (HostAddress::of(ends.from.0).ipv4, ends.from.1) || datagram.to != ends.to.1 {
+        if from != (sender.ipv4, ends.from.1) || datagram.to != ends.to.1 {
             return None;
         }
         let (number, rest) = datagram.payload.split_first_chunk()?;
@@ -129,7 +275,7 @@ impl Sink {
             return None;
         }
         self.received += 1;
-        self.delays.add(now.since(Timestamp::from_nanos(sent)).as_secs_f64() * 1e3);
+        gather(&mut self.delays, now.since(Timestamp::from_nanos(sent)));
         Some(datagram.payload.len() as u64)
     }
 
@@ -150,32 +296,16 @@ impl Sink {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cotorra_graph::BitRate;
 
     const ENDS: Ends = Ends { from: (1, 61_000), to: (2, 61_000) };
 
     fn source(rate: UdpRate, arrivals: Arrivals) -> Source {
-        Source::new(Timestamp::ZERO, rate, 1250, arrivals, Draws::new(1, "udp"))
+        let draws = ["udp", "sizes"].map(|label| Draws::new(1, label));
+        Source::new(Timestamp::ZERO, rate, DatagramSize::Constant(1250), arrivals, draws)
     }
 
     fn rate(mbps: f64) -> UdpRate {
         UdpRate::Rate(BitRate::from_mbps(mbps).unwrap())
-    }
-
-    #[test]
-    fn gaps_of_a_poisson_source_are_exponential() {
-        let mut source = source(rate(10.0), Arrivals::Poisson);
-        let mut gaps: Vec<f64> = (0..20_000).map(|_| source.gap().as_secs_f64()).collect();
-        let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
-        assert!((mean - 1e-3).abs() < 0.03e-3, "{mean}");
-        gaps.sort_by(f64::total_cmp);
-        // The distance from the exponential distribution (Kolmogorov and Smirnov); 1 % of samples exceed 1.63 / √n.
-        let count = gaps.len() as f64;
-        let distance = gaps.iter().enumerate().map(|(i, gap)| {
-            let expected = 1.0 - (-gap / 1e-3).exp();
-            (expected - i as f64 / count).abs().max((expected - (i + 1) as f64 / count).abs())
-        });
-        assert!(distance.fold(0.0, f64::max) < 1.63 / count.sqrt());
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod kept;
 mod measured_frames;
 mod run_folder;
 mod samples;
+mod sent_late;
 mod services;
 mod staleness_regret;
 mod stream;

@@ -94,7 +94,7 @@ pub struct Summary {
     pub localization: Vec<LocalizationSummary>,
     /// Distances of each robot that is navigated along a walk.
     pub driving: Vec<DrivingSummary>,
-    /// What arrived of each source's traffic, in virtual time.
+    /// What arrived of each source's traffic.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub traffic: Vec<Measured>,
     /// Prices of what the run took, if the testbed file has a currency.
@@ -699,6 +699,7 @@ impl Report {
             .with_gateways(&self.gateways)
             .with_neighbours(losses.neighbour_overflows)
             .with_receptions(self.receptions)
+            .with_traffic(&self.traffic)
             .with_away(self.absence.map(|absence| AwaySummary::new(&absence, duration)), self.measured_frames)
             .with_vnf_waits(VnfWaits::of(&self.vnf_waits, &self.unwatched, duration))
             .beside_targets(self.services.iter().map(|its| its.target_ms))

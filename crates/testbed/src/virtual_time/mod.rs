@@ -58,6 +58,7 @@ use crate::{
         programs,
     },
     real::robots::simulated,
+    traffic,
 };
 
 /// Source port of robots; any would do.
@@ -169,8 +170,7 @@ impl Simulation {
             fabric.probe_links(Timestamp::ZERO, probing);
         }
         fabric.measure_flows(&testbed.services);
-        let place = |node: &NodeId| fabric.port(node).map(|port| port.0);
-        let traffic = Sources::new(&testbed.traffic, place, seed);
+        let traffic = traffic::sources(&testbed, &fabric, seed);
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone())?;
@@ -521,23 +521,18 @@ impl Simulation {
         if self.traffic.is_empty() {
             return;
         }
-        let mut fabric = self.network.fabric();
-        loop {
-            let mut buffer = fabric.buffer(0);
+        self.network.fabric().push_all(now, |fabric, buffer| {
             let waiting = |from, to| fabric.waiting(PortId(from), PortId(to)) as usize;
-            match self.traffic.poll(now, waiting, &mut buffer) {
-                Some(host) => fabric.push(now, PortId(host), cotorra_fabric::Frame::new(buffer)),
-                None => return fabric.recycle(cotorra_fabric::Frame::new(buffer)),
-            }
-        }
+            self.traffic.poll(now, waiting, buffer).map(PortId)
+        });
     }
 
     fn deliver(&mut self, now: Timestamp, port: PortId, frame: &[u8]) {
         if self.traffic.handle(now, port.0, frame) {
             return;
         }
-        let Some(datagram) = udp::receive(frame, port) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
+        let Some(datagram) = udp::receive(frame, port) else { return };
         if datagram.to == CONTROL_PORT {
             return self.host.receive(now, datagram.payload);
         }

@@ -93,7 +93,9 @@ impl Fabric {
     /// Returns the number of packets that wait at the first link of the shortest path from one port to another, or are being
     /// sent on it.
     pub fn waiting(&mut self, from: PortId, to: PortId) -> u64 {
-        let Some(&Port { vertex, reach, .. }) = self.ports.get(from.0) else { return 0 };
+        let Some(&Port { vertex, reach, .. }) = self.ports.get(from.0) else {
+            return self.edge_from(from).map_or(0, |edge| self.pipes[edge].waiting());
+        };
         if let Reach::Robot { .. } = reach {
             return self.radio.waiting(from, Direction::Forward);
         }

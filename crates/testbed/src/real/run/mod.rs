@@ -21,7 +21,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_datapath::{Datapath, StampedSocket};
+use cotorra_datapath::{Datapath, SharedSources, StampedSocket};
 use cotorra_fabric::Histogram;
 use cotorra_graph::{Event, NodeId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Recorder, RecorderStats, RunId};
@@ -49,6 +49,7 @@ use crate::{
         robots::Masters,
     },
     report::{End, Losses, Report, RunFolder},
+    traffic,
     wifi::Wifi,
 };
 
@@ -82,6 +83,7 @@ pub struct Run {
     /// Real Wi-Fi software. Before the datapath: it is stopped while packets still pass.
     wifi: Vec<Wifi>,
     datapath: Arc<Datapath>,
+    traffic: Option<SharedSources>,
     /// Waits of datagrams in robots' sockets.
     receptions: Receptions,
     recording: Option<Recording>,
@@ -99,9 +101,7 @@ impl Run {
     /// [`RunError`]. Nothing is left then but the run's folder. There is no folder if the testbed file, a plug-in's
     /// settings or ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, options: Options) -> Result<Self, RunError> {
-        if let Some(source) = testbed.traffic.first() {
-            return Err(RunError::RealTraffic(source.id.clone()));
-        }
+        traffic::check_real(&testbed)?;
         for kept in clean().kept {
             tracing::warn!("leftovers of a killed run stay: {kept}");
         }
@@ -127,7 +127,7 @@ impl Run {
     ) -> Result<Self, RunError> {
         let receptions = start_receivers(&nodes.sockets, &network)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
-        let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
+        let NetworkUp { datapath, now, traffic, inbox, messages, is_probed, .. } = network;
         let NodesUp { mut core, masters, sockets, image_sockets, radios, .. } = nodes;
         let ServicesUp { live, stream, mut server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);
@@ -185,6 +185,7 @@ impl Run {
             _pruner: pruner,
             wifi: wifi.into_iter().chain(radios).collect(),
             datapath,
+            traffic,
             receptions,
             recording,
             keeping,
@@ -253,6 +254,9 @@ impl Run {
         }
         report.passed(self.datapath.gateways());
         report.forged(self.datapath.handle().with(|fabric, _| fabric.forged_sources()).unwrap_or_default());
+        if let Some(traffic) = &self.traffic {
+            report.carried(traffic.lock().measured(end));
+        }
         report.received(self.receptions.lock().summary());
         report.stood_still(self.datapath.handle().port_waits().absence);
         let losses = Losses {

@@ -5,9 +5,10 @@ use std::sync::{
     mpsc::{self, Receiver, Sender},
 };
 
-use cotorra_datapath::{Datapath, DepartureSink, EventSink};
+use cotorra_datapath::{Datapath, DepartureSink, EventSink, SharedSources};
 use cotorra_fabric::{Departure, Fabric};
 use cotorra_graph::Timestamp;
+use parking_lot::Mutex;
 
 use super::prepared::Prepared;
 use crate::{
@@ -18,6 +19,7 @@ use crate::{
         links::RealLinks,
         network::{RealNetwork, kernel_network},
     },
+    traffic,
 };
 
 /// A run whose network is up. Fields are dropped in order: the latest made first.
@@ -25,6 +27,8 @@ pub(super) struct NetworkUp {
     /// Reads the datapath's clock.
     pub(super) now: Clock,
     pub(super) datapath: Arc<Datapath>,
+    /// Sources of traffic, if there are any.
+    pub(super) traffic: Option<SharedSources>,
     /// Whether only probes measure lateness, because the fabric carries no packets.
     pub(super) is_probed: bool,
     pub(super) inbox: Receiver<Message>,
@@ -50,6 +54,14 @@ impl NetworkUp {
         let mut fabric = Fabric::new(&testbed.graph, *seed)?;
         testbed.without_port_security.iter().for_each(|node| fabric.disable_port_security(node));
         let kernel = kernel_network(testbed, &fabric)?;
+        if kernel.is_some() {
+            traffic::reject_real(testbed, "the kernel carries all packets, as `emulation: netem` asks for")?;
+        }
+        if !options.interfaces.interfaces.is_empty() {
+            traffic::reject_real(testbed, "links are at interfaces of this machine")?;
+        }
+        let sources = traffic::sources(testbed, &fabric, *seed).in_real_time();
+        let traffic: Option<SharedSources> = (!sources.is_empty()).then(|| Arc::new(Mutex::new(sources)));
         if kernel.is_none()
             && let Some(probing) = testbed.probes
         {
@@ -68,12 +80,13 @@ impl NetworkUp {
             let_cores_sleep: options.save_power,
             allowed_interfaces: options.interfaces.interfaces.clone(),
             kernel,
+            traffic: traffic.clone(),
             ..Default::default()
         };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, datapath_options)?);
         let clock = datapath.clock();
         let now: Clock = Arc::new(move || clock.now());
         let real_network = RealNetwork::new(&datapath, real);
-        Ok((Self { now, datapath, is_probed, inbox, messages, departures }, real_network))
+        Ok((Self { now, datapath, traffic, is_probed, inbox, messages, departures }, real_network))
     }
 }
