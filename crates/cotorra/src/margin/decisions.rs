@@ -3,13 +3,15 @@
 use std::{num::NonZero, path::Path, process::ExitCode};
 
 use cotorra_experiments::regret::{
-    Compared, Decided, Examined, FILES, Paired, Recorded, Regret, RegretError, Regrets, Stood, Tried, Verdict,
+    Compared, Decided, Examined, FILES, Recorded, Regret, RegretError, Regrets, Stood, Tried, Verdict,
 };
-use cotorra_graph::Timestamp;
-use cotorra_numbers::FEWEST;
 use cotorra_testbed::{Manifest, inexact};
 
-use super::{Error, MarginArgs, WhichDecision, again, distances, exit, open};
+use super::{
+    Error, MarginArgs, WhichDecision, again,
+    cells::{LISTED, heads, paired, seconds, shown_p},
+    distances, exit, open,
+};
 use crate::{
     output,
     progress::Progress,
@@ -22,9 +24,6 @@ use crate::{
 /// Limit of a single seed.
 const ONE_SEED: &str =
     "One seed does not tell whether a difference is more than chance: --seeds 10 gives intervals.\n";
-/// Maximum number of decisions that the terminal lists.
-pub(super) const LISTED: usize = 40;
-
 /// Examines decisions of a run.
 pub fn examine(
     args: &MarginArgs,
@@ -108,16 +107,6 @@ fn list(recorded: &[Recorded], number: Option<NonZero<usize>>, twins: usize) -> 
         count(runs, "run"),
         table.render("  ")
     )
-}
-
-/// Returns the first cells of a decision's row.
-pub(super) fn heads(decided: &Decided) -> [String; 5] {
-    let Decided { number, at, plugin, .. } = decided;
-    [number.to_string(), seconds(*at), plugin.to_string(), decided.subject().to_owned(), decided.chosen()]
-}
-
-fn seconds(at: Timestamp) -> String {
-    format!("{:.1} s", at.as_secs_f64())
 }
 
 fn named(target: &str, stays: bool) -> String {
@@ -244,23 +233,6 @@ fn over_seeds(examined: &[Examined], compared: &[Compared]) -> String {
         compared.len()
     );
     text + "\n" + &wrap(&sentence, "", 100)
-}
-
-/// `0.012`, `<0.001`.
-pub(super) fn shown_p(p: f64) -> String {
-    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
-}
-
-/// `+0.16 (-0.02 to +0.34)`; two pairs are too few for an interval.
-pub(super) fn paired(paired: Option<Paired>, factor: f64) -> String {
-    let Some(Paired { n, mean, low, high, .. }) = paired else { return "-".to_owned() };
-    let mean = signed(mean * factor);
-    match low.zip(high) {
-        Some((low, high)) if n >= FEWEST => {
-            format!("{mean} ({} to {})", signed(low * factor), signed(high * factor))
-        }
-        _ => format!("{mean} (n = {n})"),
-    }
 }
 
 /// Lists decisions, each with its best alternative.

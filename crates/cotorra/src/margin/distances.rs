@@ -3,7 +3,7 @@
 use cotorra_experiments::regret::{DistanceCost, Examined, FILES, ServiceCost, TwinDecision, TwinGave};
 use cotorra_numbers::Mean;
 
-use super::decisions::{LISTED, heads, paired, shown_p};
+use super::cells::{LISTED, heads, paired, shown_p};
 use crate::{
     regret_table::{HEADS, OfService},
     table::{Table, wrap},

@@ -1,6 +1,7 @@
 //! `cotorra margin`: the smallest changes that break a target, and decisions beside their alternatives.
 
 pub mod args;
+mod cells;
 mod decisions;
 mod distances;
 mod show;

@@ -49,8 +49,8 @@ fn json(path: &Path) -> Value {
 }
 
 fn refusal(arguments: &[&Path]) -> String {
-    let words = ["history", "regret"].iter().map(Path::new).chain(arguments.iter().copied());
-    let answer = output(words);
+    let command = ["history", "regret"].iter().map(Path::new).chain(arguments.iter().copied());
+    let answer = output(command);
     assert!(!answer.status.success(), "{}", stdout(&answer));
     words(&stderr(&answer))
 }

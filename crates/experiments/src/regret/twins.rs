@@ -106,7 +106,10 @@ pub(super) struct Twinned {
 pub(super) type Wants<'a> = (&'a PluginSpec, &'a Recorded);
 
 impl Regret {
-    /// Returns the number of twins that decisions need.
+    /// Returns the number of twins that a decision of the first run and its likes need, or all without a number.
+    ///
+    /// # Errors
+    /// [`RegretError::NoDecision`].
     pub fn count_twins(
         &self,
         recorded: &[Recorded],
@@ -200,7 +203,7 @@ impl Regret {
         examined: &mut [Examined],
     ) -> Vec<DistanceCost> {
         let pairs = || twins.iter().zip(&made.done);
-        let measured = |outcome: &'_ Option<Outcome<Twinned>>| outcome.as_ref()?.measured().cloned();
+        let measured = |outcome: &Option<Outcome<Twinned>>| outcome.as_ref()?.measured().cloned();
         for its in examined {
             let is_its = |(spec, run): &Wants<'_>| spec.id == its.decided.plugin && run.seed == its.seed;
             let twin = pairs().find(|(wants, _)| is_its(wants)).and_then(|(_, outcome)| measured(outcome));
