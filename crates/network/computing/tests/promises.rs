@@ -1,4 +1,5 @@
 //! Promises of a server at random: work is conserved, nobody gets more than its limit, and no request is lost unseen.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::{collections::BTreeSet, time::Duration};
 

@@ -1,6 +1,7 @@
 //! Queues whose times are known: means and 95th percentiles over seeds contain the known value in their 99 % interval.
 //!
 //! `cargo nextest run -p cotorra-computing --test queues --no-capture` prints the distances.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::time::Duration;
 

@@ -1,6 +1,7 @@
 //! Servers here and in SimPy: the same requests end at the same times.
 //!
 //! `cargo nextest run -p cotorra-computing --test simpy --no-capture` prints the distances.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::{
     io::Write,
