@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    Arrivals, BitRate, DatagramSize, Load, OnOff, RecordedDatagram, Replay, Timestamp, UdpRate,
+    Arrivals, BitRate, DatagramSize, OnOff, RecordedDatagram, Replay, Timestamp, UdpRate,
 };
 use cotorra_numbers::{Distribution, Draws, distance};
 
@@ -15,10 +15,11 @@ const SEEDS: u64 = 20;
 const STUDENT: f64 = 2.861;
 /// Payloads of 125 B at a mean of 100 kbit/s: 100 datagrams a second.
 const SIZE: u16 = 125;
+const BPS: u64 = 100_000;
 const PER_SECOND: f64 = 100.0;
 
-fn source(arrivals: Arrivals, size: DatagramSize, seed: u64) -> Source {
-    let rate = UdpRate::Rate(BitRate::from_bits_per_second(100_000).unwrap());
+fn source(bps: u64, arrivals: Arrivals, size: DatagramSize, seed: u64) -> Source {
+    let rate = UdpRate::Rate(BitRate::from_bits_per_second(bps).unwrap());
     let draws = ["traffic", "sizes"].map(|label| Draws::new(seed, label));
     Source::new(Timestamp::ZERO, rate, size, arrivals, draws)
 }
@@ -28,17 +29,15 @@ fn on_off(on: Option<Distribution>, off: Option<Distribution>) -> Arrivals {
 }
 
 /// Calls `each` with the time of each datagram until then, seconds, and with its size.
-fn run(source: &mut Source, seconds: f64, mut each: impl FnMut(f64, usize)) {
-    let mut frame = Vec::new();
-    let ends = crate::segment::Ends { from: (0, 1), to: (1, 1) };
+fn run(source: &mut Source, seconds: f64, mut each: impl FnMut(f64, u16)) {
     loop {
         let now = source.deadline();
-        if now.as_nanos() as f64 * 1e-9 >= seconds {
+        let at = now.as_nanos() as f64 * 1e-9;
+        if at >= seconds {
             return;
         }
         assert!(source.poll(now, || 0));
-        source.write(now, ends, &mut frame);
-        each(now.as_nanos() as f64 * 1e-9, frame.len() - usize::from(Load::HEADERS));
+        each(at, source.size);
     }
 }
 
@@ -76,9 +75,9 @@ fn every_process_keeps_its_mean_rate() {
     ] {
         let seconds = 400.0;
         let (bps, half) = over_seeds(|seed| {
-            let mut bytes = 0;
-            run(&mut source(arrivals, size, seed), seconds, |_, size| bytes += size);
-            bytes as f64 * 8.0 / seconds
+            let mut bytes = 0.0;
+            run(&mut source(BPS, arrivals, size, seed), seconds, |_, size| bytes += f64::from(size));
+            bytes * 8.0 / seconds
         });
         println!("{name}: {bps:.0} ± {half:.0} bit/s of 100000");
         // Rounding to whole datagrams is a hundredth of a per cent.
@@ -89,7 +88,7 @@ fn every_process_keeps_its_mean_rate() {
 #[test]
 fn gaps_of_a_poisson_source_are_exponential() {
     let far = |seed: &u64| {
-        let mut source = source(Arrivals::Poisson, DatagramSize::Constant(SIZE), *seed);
+        let mut source = source(BPS, Arrivals::Poisson, DatagramSize::Constant(SIZE), *seed);
         let (mut last, mut gaps) = (0.0, Vec::new());
         run(&mut source, 200.0, |at, _| gaps.push(at - std::mem::replace(&mut last, at)));
         gaps.sort_by(f64::total_cmp);
@@ -135,7 +134,7 @@ fn counts_have_the_dispersion_of_their_process() {
         ("on and off", on_off(Distribution::exponential(on), Distribution::exponential(off)), markov, 0.01),
     ] {
         let (found, half) = over_seeds(|seed| {
-            let mut source = source(arrivals, DatagramSize::Constant(SIZE), seed);
+            let mut source = source(BPS, arrivals, DatagramSize::Constant(SIZE), seed);
             dispersion(&counts(&mut source, 2000.0, window))
         });
         println!("{name}: index of dispersion {found:.3} ± {half:.3}, expected {expected:.3}");
@@ -150,11 +149,12 @@ fn hurst(arrivals: Arrivals, sources: u64, seed: u64) -> f64 {
     let (windows, window) = (1 << 14, 1.0);
     let mut sum = vec![0.0; windows];
     for number in 0..sources {
-        let mut source = source(arrivals, DatagramSize::Constant(SIZE), seed * 1000 + number);
+        let mut source = source(4000, arrivals, DatagramSize::Constant(SIZE), seed * 1000 + number);
         let one = counts(&mut source, windows as f64 * window, window);
         sum.iter_mut().zip(one).for_each(|(sum, count)| *sum += count);
     }
-    let expected = sources as f64 * PER_SECOND * window;
+    // Four datagrams a second of each.
+    let expected = sources as f64 * 4.0 * window;
     let point = |power: u32| {
         let means = sum.chunks_exact(1 << power).map(|part| part.iter().sum::<f64>() / part.len() as f64);
         let squares: Vec<f64> = means.map(|mean| (mean - expected).powi(2)).collect();

@@ -28,7 +28,7 @@ const MOST_MISSING: usize = 10_000;
 pub(crate) struct Source {
     pub sent: u64,
     /// Bytes of the latest datagram's payload.
-    size: u16,
+    pub size: u16,
     pace: Pace,
     next: Timestamp,
     /// How late datagrams with a time are sent, µs; `None` in virtual time, where none is.

@@ -1,9 +1,9 @@
 //! Sources over one wired link of the fabric, beside closed forms of queues.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-use std::{path::Path, time::Duration};
+use std::{collections::VecDeque, path::Path, time::Duration};
 
-use cotorra_fabric::{Fabric, Frame, PortId};
+use cotorra_fabric::{Drops, Fabric, Frame, PortId};
 use cotorra_graph::{Direction, Testbed, Timestamp};
 use cotorra_numbers::{Distribution, Draws};
 use cotorra_traffic::{Measured, Sources};
@@ -136,40 +136,39 @@ fn frames_of_exponential_sizes_wait_as_in_mm1() {
     let testbed =
         testbed("rate: 10 Mbit/s, delay: 0 ms, queue: 100000 packets", "protocol: udp, rate: 1 bit/s");
     for load in [0.6, 0.8] {
-        // A mean of 12.5 kB takes 10 ms, so that whole bytes matter little.
-        let (sizes, gaps) = (Distribution::exponential(12_500.0), Distribution::exponential(0.01 / load));
+        // A mean of 2500 bytes takes 2 ms, so that whole bytes matter little. A frame has no more than 64 KiB.
+        let (sizes, gaps) = (Distribution::exponential(2500.0), Distribution::exponential(0.002 / load));
         let (sizes, gaps) = (sizes.unwrap(), gaps.unwrap());
         let mean_wait = |seed: u64| {
             let mut fabric = Fabric::new(&testbed.graph, seed).unwrap();
             let [first, second] = fabric.link_ends(&"a-b".parse().unwrap()).unwrap();
             let mut draws = Draws::new(seed, "queue");
             let (mut now, mut total, mut count) = (Timestamp::ZERO, 0.0, 0.0);
-            let mut sent = std::collections::VecDeque::new();
-            let mut arrived =
-                |fabric: &mut Fabric, now: Timestamp, sent: &mut std::collections::VecDeque<Timestamp>| {
-                    let deadline = fabric.poll(now, &mut |port, frame| {
-                        assert_eq!(port, second);
-                        let took = now.since(sent.pop_front().unwrap()).as_secs_f64();
-                        total += took - frame.wire_bytes() as f64 * 8.0 / 10e6;
-                        count += 1.0;
-                    });
-                    deadline
-                };
-            while now < seconds(1000.0) {
+            let mut sent = VecDeque::new();
+            let mut poll = |fabric: &mut Fabric, now: Timestamp, sent: &mut VecDeque<Timestamp>| {
+                fabric.poll(now, &mut |port, frame| {
+                    assert_eq!(port, second);
+                    let took = now.since(sent.pop_front().unwrap()).as_secs_f64();
+                    total += took - frame.wire_bytes() as f64 * 8.0 / 10e6;
+                    count += 1.0;
+                })
+            };
+            while now < seconds(200.0) {
                 let next = now + Duration::from_secs_f64(gaps.sample(&mut draws));
                 // All that leaves before the next arrival, when it does.
-                let mut deadline = arrived(&mut fabric, now, &mut sent);
+                let mut deadline = poll(&mut fabric, now, &mut sent);
                 while let Some(at) = deadline.filter(|at| *at <= next) {
-                    deadline = arrived(&mut fabric, at, &mut sent);
+                    deadline = poll(&mut fabric, at, &mut sent);
                 }
                 let bytes = sizes.sample(&mut draws).round().max(1.0) as usize;
                 sent.push_back(next);
                 fabric.push(next, first, Frame::new(vec![0; bytes]));
                 now = next;
             }
+            assert_eq!(fabric.drops(), Drops::default());
             total / count * 1e3
         };
-        assert_mean(&format!("M/M/1 at {:.0} %", load * 100.0), "ms", 10.0 * load / (1.0 - load), mean_wait);
+        assert_mean(&format!("M/M/1 at {:.0} %", load * 100.0), "ms", 2.0 * load / (1.0 - load), mean_wait);
     }
 }
 
@@ -219,7 +218,7 @@ fn both_directions_of_a_link_are_loaded_and_its_counters_show_it() {
         assert_eq!(measured.link.unwrap().as_str(), "a-b");
     }
     for context in world.fabric.link_contexts(seconds(10.0)) {
-        assert!((context.throughput_bps / 6e6 - 1.0).abs() < 0.01, "{context:?}");
+        assert!((context.throughput_bps / 6e6 - 1.0).abs() < 0.02, "{context:?}");
         assert_eq!(context.counters.overflowed, 0);
     }
 }
@@ -236,8 +235,9 @@ fn transfers_after_a_pause_come_one_at_a_time() {
     let all = transfers.all.unwrap();
     // Each opens a connection, of two ways of 5 ms, and sends for at least 84 ms.
     let took = all.completion_ms;
-    assert!(took.p50 > 99.0 && took.max - took.p50 < 1.0, "{took:?}");
-    let expected = (9.95 / (0.1 + all.mean_completion_ms * 1e-3)).ceil();
+    assert!((98.0..110.0).contains(&took.p50) && took.max - took.p50 < 1.0, "{took:?}");
+    // The first begins after a pause, too.
+    let expected = ((9.95 - 0.1) / (0.1 + all.mean_completion_ms * 1e-3)).ceil();
     assert_eq!((all.arrived_transfers as f64, transfers.open_transfers), (expected, 0), "{all:?}");
     assert_eq!(measured.bytes, all.arrived_transfers * 100_000);
 }

@@ -269,6 +269,20 @@ mod tests {
     }
 
     #[test]
+    fn recordings_are_read_at_their_speed_and_begin_anew_after_a_mean_gap() {
+        let place = tempfile::tempdir().unwrap();
+        std::fs::write(place.path().join("a.csv"), "0.5,100\n1.5,2000\n2.5,16\n").unwrap();
+        let text = "name: x\nnodes: { a: { kind: switch }, b: { kind: switch } }\n\
+                    links: [{ ends: [a, b], delay: 1 ms, rate: 1 Mbit/s }]\n\
+                    traffic: { t: { on: a-b, direction: backward, protocol: udp, trace: a.csv, speed: 2, loop: true } }\n";
+        let testbed = crate::parse("x.yaml", text, place.path()).unwrap();
+        let Load::Replay(replay) = &testbed.traffic[0].load else { panic!("{:?}", testbed.traffic) };
+        let read: Vec<_> = replay.datagrams.iter().map(|its| (its.at.as_millis(), its.size)).collect();
+        assert_eq!(read, [(250, 100), (750, 1472), (750, 528), (1250, 16)]);
+        assert_eq!(replay.period, Some(Duration::from_millis(1750)));
+    }
+
+    #[test]
     fn what_is_no_capture_is_rejected() {
         let error = Recording::of_capture(b"time,bytes", None).unwrap_err();
         assert_eq!(error, ReadError::NoCapture.to_string());
