@@ -3,9 +3,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{
-    Arrivals, BitRate, DatagramSize, OnOff, RecordedDatagram, Replay, Timestamp, UdpRate,
-};
+use cotorra_graph::{Arrivals, BitRate, DatagramSize, OnOff, RecordedDatagram, Replay, Timestamp, UdpRate};
 use cotorra_numbers::{Distribution, Draws, distance};
 
 use crate::udp::Source;

@@ -136,7 +136,7 @@ fn frames_of_exponential_sizes_wait_as_in_mm1() {
     let testbed =
         testbed("rate: 10 Mbit/s, delay: 0 ms, queue: 100000 packets", "protocol: udp, rate: 1 bit/s");
     for load in [0.6, 0.8] {
-        // A mean of 2500 bytes takes 2 ms, so that whole bytes matter little. A frame has no more than 64 KiB.
+        // A mean of 2500 bytes takes 2 ms, so that whole bytes and the header of 14 matter little.
         let (sizes, gaps) = (Distribution::exponential(2500.0), Distribution::exponential(0.002 / load));
         let (sizes, gaps) = (sizes.unwrap(), gaps.unwrap());
         let mean_wait = |seed: u64| {
@@ -160,7 +160,7 @@ fn frames_of_exponential_sizes_wait_as_in_mm1() {
                 while let Some(at) = deadline.filter(|at| *at <= next) {
                     deadline = poll(&mut fabric, at, &mut sent);
                 }
-                let bytes = sizes.sample(&mut draws).round().max(1.0) as usize;
+                let bytes = sizes.sample(&mut draws).round().max(14.0) as usize;
                 sent.push_back(next);
                 fabric.push(next, first, Frame::new(vec![0; bytes]));
                 now = next;
