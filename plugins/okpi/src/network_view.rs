@@ -276,14 +276,15 @@ impl NetworkView {
     }
 
     /// Returns the figures of a link, no better than they were when the service left it.
-    fn remembered(&self, link: &LinkId, memory: &Memory) -> RoundTrip {
-        let figures = self.links.figures(link);
+    fn remembered(&self, link: &LinkId, figures: RoundTrip, memory: &Memory) -> RoundTrip {
         RoundTrip { beyond: memory.with(self.now, link, figures.beyond), ..figures }
     }
 
     /// Whether anything was measured beyond the configuration of the air between a robot and one of these radio units.
     pub(crate) fn is_air_beyond(&self, robot: &NodeId, units: &[NodeId], memory: &Memory) -> bool {
-        let beyond = |unit| self.remembered(&LinkId::wireless(robot, unit), memory).beyond;
+        let beyond = |unit| {
+            self.remembered(&LinkId::wireless(robot, unit), self.links.air(robot, unit), memory).beyond
+        };
         units.iter().any(|unit| beyond(unit) != Beyond::default())
     }
 
@@ -335,7 +336,7 @@ impl NetworkView {
         let units = if network.is_some_and(offers) { units } else { &[] };
         let attachments = units.iter().filter_map(|unit| {
             let id = LinkId::wireless(&service.robot, unit);
-            let mut figures = self.remembered(&id, memory);
+            let mut figures = self.remembered(&id, self.links.air(&service.robot, unit), memory);
             if air == Air::Configured {
                 figures.beyond = Beyond::default();
             }
@@ -343,7 +344,7 @@ impl NetworkView {
             Some(model::Link { wireless: true, ..wire(id, ends, figures) })
         });
         let wired = self.graph.links.iter().map(|link| {
-            let mut figures = self.remembered(&link.id, memory);
+            let mut figures = self.remembered(&link.id, self.links.figures(&link.id), memory);
             figures.rate_bps = figures.rate_bps.min(link.medium.bits_per_second() as f64);
             let ends = link.ends.each_ref().map(|end| place[end]);
             let wire = wire(link.id.clone(), ends, figures);
@@ -529,6 +530,26 @@ walks:
         assert_eq!(concerned(&mut now, &event(7)), ["first", "second"]);
         let seen = now.infrastructure(&testbed.services[0], &[], &Memory::default(), Air::Measured);
         assert_eq!(seen.links.last().unwrap().round_trip, Duration::from_millis(12));
+    }
+
+    #[test]
+    fn the_air_of_other_radio_units_counts_as_their_stations_measure_it() {
+        let testbed = testbed();
+        let round_trips = |candidates| {
+            let measurements = Measurements { candidates, ..Measurements::default() };
+            let mut now = NetworkView::new(&testbed, Some(measurements));
+            let delay = Some(Duration::from_millis(21));
+            let effective = Conditions { delay: Duration::from_millis(1), ..Conditions::default() };
+            let context = LinkContext { delay, effective, ..base::link_context("q~U") };
+            for second in 0..30 {
+                now.learn_link(Timestamp::from_secs_f64(f64::from(second)), &context);
+            }
+            let units = [node_id("U"), node_id("P")];
+            let seen = now.infrastructure(&testbed.services[0], &units, &Memory::default(), Air::Measured);
+            [0, 1].map(|air| seen.links[air].round_trip.as_millis())
+        };
+        assert_eq!(round_trips(false), [2, 2]);
+        assert_eq!(round_trips(true), [22, 2]);
     }
 
     #[test]

@@ -253,7 +253,7 @@ mod tests {
             "gamma": 10, "k_paths": 2, "relax": true, "hysteresis": "0.8 m",
             "coverage": { "R1": [[0, 0], [1.5, 0], [0, 2]] },
             "processing": { "navigation": { "service_rate": "500 /s", "arrival_rate": "20/s" } },
-            "measurements": { "tolerance": "2 ms", "window": "20 s", "every": "1 s", "hold": "2 min" },
+            "measurements": { "tolerance": "2 ms", "window": "20 s", "every": "1 s", "hold": "2 min", "candidates": true },
         }))
         .unwrap();
         assert_eq!(settings.search, Search { k_paths: 2.try_into().unwrap(), relax: true, ..Search::at(10) });
@@ -263,7 +263,7 @@ mod tests {
         let queue = Queue { service_rate: 500.0, arrival_rate: 20.0 };
         assert_eq!(settings.processing, BTreeMap::from([(VnfId::new("navigation").unwrap(), queue)]));
         let [tolerance, window, every, hold] = [2, 20_000, 1000, 120_000].map(Duration::from_millis);
-        assert_eq!(settings.measurements, Measurements { tolerance, window, every, hold });
+        assert_eq!(settings.measurements, Measurements { tolerance, window, every, hold, candidates: true });
         let signals = decode(json!({ "floor": "-70 dBm", "margin": "3dB" })).unwrap();
         assert_eq!(signals.coverage, Coverage::Signal { floor_dbm: -70.0, margin_db: 3.0 });
     }

@@ -11,6 +11,9 @@
 //!   declare, and may have reserved, is not left either: [`RoundTrip::free_bps`].
 //! - **Loss.** As far as the counters or the probes of the window prove it: the lower bound of Wilson's 95 % interval.
 //!
+//! [`Links::candidates`] has the delay over the air to each radio unit that a robot can use. [`Links::air`] has figures for decisions,
+//! over the window.
+//!
 //! [`Memory`] keeps a service from coming back to a link that is idle only because the service left it.
 
 mod figures;
@@ -23,7 +26,9 @@ mod way;
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{Direction, LinkContext, LinkId, NodeId, Scale, Testbed, Timestamp};
+use cotorra_graph::{
+    Candidate, Direction, HardwareGraph, LinkContext, LinkId, NodeId, RobotContext, Scale, Testbed, Timestamp,
+};
 
 use self::way::{Carrier, Configured, Measuring, OneWay, Way};
 pub use self::{
@@ -52,6 +57,8 @@ pub struct Links {
     ways: BTreeMap<(LinkId, Direction), Way>,
     /// Configuration of the air around each robot.
     air: BTreeMap<NodeId, Configured>,
+    /// The last contexts of the air, with their times.
+    latest: BTreeMap<(LinkId, Direction), (Timestamp, LinkContext)>,
 }
 
 impl Links {
@@ -74,6 +81,7 @@ impl Links {
         Self {
             ways: wires.collect(),
             air: air.collect(),
+            latest: BTreeMap::new(),
             measuring: measurements.map(|measurements| Measuring { measurements, probing: testbed.probes }),
         }
     }
@@ -81,6 +89,9 @@ impl Links {
     /// Learns the context of a link at a time.
     pub fn learn(&mut self, at: Timestamp, context: &LinkContext) -> News {
         let key = (context.link.clone(), context.direction);
+        if self.air_of(&context.link).is_some() {
+            self.latest.insert(key.clone(), (at, context.clone()));
+        }
         let way = match self.ways.get_mut(&key) {
             Some(way) => way,
             None => {
@@ -117,6 +128,45 @@ impl Links {
     pub fn any_beyond(&self) -> bool {
         let differs = |measuring| self.ways.values().any(|way| way.beyond(measuring) != OneWay::default());
         self.measuring.as_ref().is_some_and(differs)
+    }
+
+    /// Returns the radio units that a robot can use, with the delay over the air to each, its source and its age as of `now`. `stations`
+    /// are the robots of its network with their radio units.
+    pub fn candidates(
+        &self,
+        now: Timestamp,
+        graph: &HardwareGraph,
+        robot: &RobotContext,
+        stations: &[(&NodeId, &NodeId)],
+    ) -> Vec<Candidate> {
+        let latest = |link: &LinkId, direction| {
+            let (at, context) = self.latest.get(&(link.clone(), direction))?;
+            Some((context, now.since(*at)))
+        };
+        cotorra_graph::candidates(robot, graph, stations, latest)
+    }
+
+    /// Returns the figures of the air between a robot and a radio unit. If candidates count, and this robot measured nothing there
+    /// over the window, the delay of a direction is the mean of what other robots measured.
+    pub fn air(&self, robot: &NodeId, unit: &NodeId) -> RoundTrip {
+        let own = LinkId::wireless(robot, unit);
+        let figures = self.figures(&own);
+        let Some(measuring) = self.measuring.filter(|measuring| measuring.measurements.candidates) else {
+            return figures;
+        };
+        let delay = |direction| {
+            let way = |link: LinkId| self.ways.get(&(link, direction)).filter(|way| way.is_measured());
+            if let Some(own) = way(own.clone()) {
+                return own.beyond(&measuring).delay;
+            }
+            let others = self.air.keys().filter_map(|other| way(LinkId::wireless(other, unit)));
+            let (sum, count) = others.fold((Duration::ZERO, 0), |(sum, count), other| {
+                (sum + other.beyond(&measuring).delay, count + 1)
+            });
+            sum.checked_div(count).unwrap_or_default()
+        };
+        let delay = delay(Direction::Forward) + delay(Direction::Backward);
+        RoundTrip { beyond: Beyond { delay, ..figures.beyond }, ..figures }
     }
 
     /// Returns the figures of a wire; those of the air are configured alone until the robot used it.

@@ -6,7 +6,8 @@ use serde::{Deserialize, Deserializer};
 
 use crate::settings::{self, Figure};
 
-/// Use of measurements, as a plug-in's settings declare it: `{ tolerance: 1 ms, window: 10 s, every: 5 s, hold: 60 s }`.
+/// Use of measurements, as a plug-in's settings declare it: `{ tolerance: 1 ms, window: 10 s, every: 5 s, hold: 60 s,
+/// candidates: true }`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Measurements {
@@ -22,6 +23,8 @@ pub struct Measurements {
     /// Time for which the figures of a link count that a service left. It doubles with each return.
     #[serde(deserialize_with = "settings::duration")]
     pub hold: Duration,
+    /// Whether the air to a radio unit that a robot does not use counts as the unit's stations measure it.
+    pub candidates: bool,
 }
 
 impl Default for Measurements {
@@ -31,6 +34,7 @@ impl Default for Measurements {
             window: Duration::from_secs(10),
             every: Duration::from_secs(5),
             hold: Duration::from_secs(60),
+            candidates: false,
         }
     }
 }

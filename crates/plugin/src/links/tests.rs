@@ -33,12 +33,14 @@ fn air() -> Bed {
     bed_of("r~a~unit", Some(Measurements::default()))
 }
 
-fn bed_of(link: &str, measurements: Option<Measurements>) -> Bed {
+fn testbed() -> Testbed {
     let text = "
 name: one
 wireless: { lab: { delay: 5 ms, rate: 10 Mbit/s } }
 nodes:
   r~a: { kind: robot, position: [0, 0] }
+  q: { kind: robot, position: [0, 0] }
+  s: { kind: robot, position: [0, 0] }
   unit: { kind: radio_unit, position: [1, 0], channel: 1 }
   lan: { kind: switch }
   cloud: { kind: server, tier: cloud, cpus: 1, memory: 1 GB }
@@ -46,11 +48,14 @@ links:
   - { ends: [lan, cloud], delay: 5 ms, rate: 10 Mbit/s }
   - { ends: [lan, unit] }
 ";
-    let testbed = cotorra_testbed_file::parse("one.yaml", text, std::path::Path::new("")).unwrap();
+    cotorra_testbed_file::parse("one.yaml", text, std::path::Path::new("")).unwrap()
+}
+
+fn bed_of(link: &str, measurements: Option<Measurements>) -> Bed {
     let rate = Rate::Fixed { bits_per_second: BitRate::from_mbps(10.0).unwrap() };
     let effective = Conditions { delay: ms(5.0), rate, ..Conditions::default() };
     let context = LinkContext { effective, ..base::link_context(link) };
-    Bed { links: Links::new(&testbed, measurements), context, load_bps: 0.0 }
+    Bed { links: Links::new(&testbed(), measurements), context, load_bps: 0.0 }
 }
 
 impl Bed {
@@ -243,4 +248,53 @@ fn a_rate_is_free_if_nobody_uses_or_declares_it() {
     assert_eq!(free(1e6, 0.0), 7.0, "the metered load has the own rate in it");
     assert_eq!(free(0.0, 5e6), 5.0, "an idle reservation is not free");
     assert_eq!(free(0.0, 1e6), 6.0);
+}
+
+#[test]
+fn the_air_to_other_radio_units_counts_as_their_stations_measure_it_if_candidates_count() {
+    let [unit, station, idle, other] = ["unit", "r~a", "q", "s"].map(|name| NodeId::new(name).unwrap());
+    let measured = |candidates| {
+        let mut bed = bed_of("r~a~unit", Some(Measurements { candidates, ..Measurements::default() }));
+        bed.probed(35.0);
+        bed.learn(0.0, 30.0);
+        // The second station waits for half as long.
+        bed.context.link = LinkId::wireless(&other, &unit);
+        bed.probed(20.0);
+        bed.learn(0.0, 30.0);
+        bed.links
+    };
+    let delays = |links: &Links| [&station, &other, &idle].map(|robot| links.air(robot, &unit).beyond.delay);
+    let (without, with) = (measured(false), measured(true));
+    assert_eq!(delays(&without), [ms(30.0), ms(15.0), Duration::ZERO]);
+    assert_eq!(delays(&with), [ms(30.0), ms(15.0), ms(22.5)], "its own measurements come first");
+    let nowhere = NodeId::new("elsewhere").unwrap();
+    assert_eq!(
+        with.air(&idle, &nowhere).beyond,
+        Beyond::default(),
+        "a unit without stations is as configured"
+    );
+}
+
+#[test]
+fn candidates_have_a_source_and_an_age() {
+    let [unit, station, idle] = ["unit", "r~a", "q"].map(|name| NodeId::new(name).unwrap());
+    let testbed = testbed();
+    let mut bed = air();
+    bed.probed(35.0);
+    bed.learn(0.0, 30.0);
+    let heard = |robot: &NodeId, attached| {
+        let attachments = vec![base::attachment("unit", attached, Some(-50.0))];
+        let context = base::robot_context(robot.as_str(), base::pose(0.0, 0.0, 0.0));
+        RobotContext { robot: robot.clone(), attachments, ..context }
+    };
+    let stations = [(&station, &unit)];
+    let uplink = |now, robot, attached| {
+        let all = bed.links.candidates(seconds(now), &testbed.graph, &heard(robot, attached), &stations);
+        (all[0].uplink.delay, all[0].uplink.source, all[0].uplink.age)
+    };
+    use cotorra_graph::FigureSource::{Configured, Estimated, Probed};
+    // The last context is of 29.9 s, and its probe is 0.1 s older.
+    assert_eq!(uplink(30.0, &station, true), (ms(35.0), Probed, ms(200.0)));
+    assert_eq!(uplink(31.0, &idle, false), (ms(35.0), Estimated, ms(1200.0)));
+    assert_eq!(uplink(60.0, &idle, false), (ms(5.0), Configured, Duration::ZERO), "that is too old");
 }

@@ -108,6 +108,11 @@ impl Way {
         Self { carrier, configured, ..Self::default() }
     }
 
+    /// Whether delays of the window are known.
+    pub(super) fn is_measured(&self) -> bool {
+        !self.delays.is_empty()
+    }
+
     pub(super) fn configured(&self) -> Configured {
         self.configured
     }
