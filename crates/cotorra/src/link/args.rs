@@ -24,12 +24,15 @@ pub enum Link {
 /// Show the delay and throughput of links, their conditions, and results of probes and tests
 ///
 /// → is the forward direction, from a link's first end to its second. d and λ are of the last second, by all packets.
-/// --json has more, such as the age of each result.
+/// --figures shows what decisions count with: d as configured and as measured, by probes that are not older than 10 s, else by
+/// packets; λ as configured, as measured, and what is left. Each measured delay has its age.
+/// --json has both, and more, such as the age of each result.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra link show
   cotorra link show lan-cloud --json
+  cotorra link show --figures                               configured, measured and available
   cotorra link show --run corridor                          one of several runs
   cotorra link show --run https://lab:7700 --ca ca.pem      one of another machine, by the certificate that it printed")]
 pub struct ShowArgs {
@@ -38,6 +41,9 @@ pub struct ShowArgs {
     /// Print JSON, with times in milliseconds
     #[arg(long)]
     pub json: bool,
+    /// Show configured, measured and available figures
+    #[arg(long, conflicts_with = "json")]
+    pub figures: bool,
     #[command(flatten)]
     pub api: ApiArgs,
 }

@@ -5,11 +5,12 @@ mod show;
 
 use std::{thread, time::Duration};
 
-use cotorra_graph::{Instruction, LinkContext, LinkId, PluginId, Tested};
+use cotorra_graph::{Instruction, LinkContext, LinkFigures, LinkId, PluginId, Tested};
 use cotorra_plugin::{client::Client, runs::Runs};
 use cotorra_testbed_file::COMMAND_LINE;
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, miette};
+use serde::Serialize;
 
 pub use self::args::Link;
 use self::args::{ApiArgs, SetArgs, ShowArgs, TestArgs};
@@ -79,10 +80,27 @@ impl Connection {
     }
 }
 
+/// One direction of a link, with configured, measured and available figures.
+#[derive(Serialize)]
+struct WithFigures {
+    #[serde(flatten)]
+    context: LinkContext,
+    figures: LinkFigures,
+}
+
+impl From<LinkContext> for WithFigures {
+    fn from(context: LinkContext) -> Self {
+        Self { figures: context.figures(), context }
+    }
+}
+
 fn show(args: &ShowArgs) -> miette::Result<()> {
     let links = Connection::open(&args.api)?.links(args.link.as_ref())?;
     let text = if args.json {
-        serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
+        let all: Vec<_> = links.into_iter().map(WithFigures::from).collect();
+        serde_json::to_string_pretty(&all).into_diagnostic()? + "\n"
+    } else if args.figures {
+        show::figures(&links)
     } else {
         show::table(&links)
     };

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Direction, LinkContext, Probed, Scale};
+use cotorra_graph::{
+    DelayFigure, Direction, FigureSource, LinkContext, LinkFigures, Probed, Scale, ThroughputFigure,
+};
 
 use crate::{
     table::Table,
@@ -47,6 +49,38 @@ pub fn table(links: &[LinkContext]) -> String {
         }
     }
     table.render("") + &queues + &tests
+}
+
+/// Lists the figures of both directions of links that decisions count with.
+pub fn figures(links: &[LinkContext]) -> String {
+    let mut table = Table::new("<<>>>>>");
+    table.row(["link", "", "d, ms", "measured", "λ, Mbit/s", "measured", "left"]);
+    for context in links {
+        let LinkFigures { delay, throughput } = context.figures();
+        let rate = |figure: Option<ThroughputFigure>| {
+            figure.map_or("-".to_owned(), |figure| format!("{:.3}", figure.throughput_bps / 1e6))
+        };
+        table.row([
+            context.link.to_string(),
+            arrow(context.direction).to_owned(),
+            millis(delay.configured.delay),
+            delay.measured.map_or("-".to_owned(), measured),
+            rate(throughput.configured),
+            rate(Some(throughput.measured)),
+            rate(throughput.available),
+        ]);
+    }
+    table.render("")
+}
+
+/// Names a measured delay, its source and its age.
+fn measured(figure: DelayFigure) -> String {
+    let by = match figure.source {
+        FigureSource::Probed => "probes",
+        FigureSource::Carried => "packets",
+        FigureSource::Configured | FigureSource::Estimated => "others",
+    };
+    format!("{} ({by}, {} ms old)", millis(figure.delay), figure.age.as_millis())
 }
 
 /// Returns the sign of a direction, from the left end of a link's name to the right one or back.
@@ -123,6 +157,25 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part} is not in\n{text}");
         }
+    }
+
+    #[test]
+    fn figures_have_their_source_and_age() {
+        let probed = context(Direction::Forward);
+        let carried = LinkContext { probed: None, ..context(Direction::Backward) };
+        let silent = LinkContext { delay: None, effective: Conditions::default(), ..carried.clone() };
+        let text = figures(&[probed, carried, silent]);
+        assert!(text.lines().all(|line| measure_text_width(line) <= 80), "{text}");
+        let lines: Vec<_> =
+            text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+        assert_eq!(
+            lines[1..],
+            [
+                "robot~R1 → 13.500 13.512 (probes, 900 ms old) 30.000 12.346 17.654",
+                "robot~R1 ← 13.500 13.621 (packets, 1000 ms old) 30.000 12.346 17.654",
+                "robot~R1 ← 0.000 - - 12.346 -",
+            ]
+        );
     }
 
     #[test]
