@@ -126,12 +126,8 @@ Examples:
     /// A run serves the same document at /openapi.json.
     #[command(name = "openapi")]
     OpenApi {
-        /// Print the document of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
-        #[arg(long)]
-        wais: bool,
-        /// Print the document of application life cycle management, which a run serves at /app_lcm/v1/openapi.json
-        #[arg(long, conflicts_with = "wais")]
-        app_lcm: bool,
+        #[command(flatten)]
+        service: OfService,
     },
     Doctor(DoctorArgs),
     Selftest(SelftestArgs),
@@ -250,5 +246,36 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+}
+
+/// A service of ETSI MEC that has an OpenAPI document.
+#[derive(Debug, clap::Args)]
+#[group(multiple = false)]
+pub(crate) struct OfService {
+    /// Print the document of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
+    #[arg(long)]
+    pub(crate) wais: bool,
+    /// Print the document of the Location API, which a run serves at /location/v2/openapi.json
+    #[arg(long)]
+    pub(crate) location: bool,
+    /// Print the document of the Bandwidth Management API, which a run serves at /bwm/v1/openapi.json
+    #[arg(long)]
+    pub(crate) bwm: bool,
+    /// Print the document of application life cycle management, which a run serves at /app_lcm/v1/openapi.json
+    #[arg(long)]
+    pub(crate) app_lcm: bool,
+}
+
+impl OfService {
+    /// Returns its document; without one, that of the HTTP API.
+    pub(crate) fn document(&self) -> String {
+        match () {
+            () if self.wais => cotorra_testbed::wais_openapi(),
+            () if self.location => cotorra_testbed::location_openapi(),
+            () if self.bwm => cotorra_testbed::bwm_openapi(),
+            () if self.app_lcm => cotorra_testbed::app_lcm_openapi(),
+            () => cotorra_testbed::openapi(),
+        }
     }
 }

@@ -33,7 +33,9 @@ pub use api::{
     TokensError, app_lcm_openapi, openapi,
 };
 pub use capture::{CaptureError, CapturePlan, create_capture};
+pub use cotorra_bandwidth::openapi as bwm_openapi;
 pub use cotorra_containers::guard as guard_containers;
+pub use cotorra_location::http::openapi as location_openapi;
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use error::RunError;
 pub use events::live::{Live, Snapshot};

@@ -117,6 +117,8 @@ fn schema_and_openapi_are_the_files_in_docs() {
         ("schema", "docs/testbed.schema.json"),
         ("openapi", "docs/openapi.json"),
         ("openapi --wais", "docs/wais.openapi.json"),
+        ("openapi --location", "docs/location.openapi.json"),
+        ("openapi --bwm", "docs/bwm.openapi.json"),
         ("openapi --app-lcm", "docs/app-lcm.openapi.json"),
     ] {
         let text = stdout(&output(command.split(' ')));

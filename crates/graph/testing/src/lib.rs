@@ -11,7 +11,7 @@ use cotorra_graph::{
     HandoverTimes, HardwareGraph, Kpis, Link, LinkContext, Loss, MachineContext, Node, NodeKind, PathLoss,
     Pose, PoseSource, Program, QueueDiscipline, QueueLimit, RadioUnit, RateControl, Roaming, Robot,
     RobotClock, RobotContext, RobotModel, SensorData, Server, Service, ServiceTime, Shadowing, Testbed, Tier,
-    Timestamp, Velocity, Vnf, WifiStandard, WirelessNetwork,
+    Timestamp, Velocity, VirtualLink, Vnf, WifiStandard, WirelessNetwork,
 };
 
 const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
@@ -212,6 +212,38 @@ pub fn vnf(name: &str, node: &str) -> Vnf {
         start: Default::default(),
         computing: None,
     }
+}
+
+/// Returns a testbed for services of applications: a robot at a radio unit, whose navigation is in the cloud, and an
+/// application `planner` at the edge. The edge and the cloud are in these domains, and all
+/// else in `home`.
+pub fn applications(domains: [&str; 2]) -> Testbed {
+    let server = |name: &str, domain: &str| Node {
+        domain: id(domain),
+        ..node(name, NodeKind::Server(self::server()))
+    };
+    let nodes = vec![
+        node("robot", NodeKind::Robot(robot("lab"))),
+        node("unit", NodeKind::RadioUnit(radio_unit("lab"))),
+        node("lan", NodeKind::Switch),
+        server("edge", domains[0]),
+        server("cloud", domains[1]),
+    ];
+    let links = ["unit", "edge", "cloud"].map(|end| link("lan", end, Conditions::default()));
+    let mut graph = graph(nodes, links.to_vec());
+    graph.wireless.insert("lab".to_owned(), wireless());
+    let driver = Vnf { program: Program::RobotDriver, ..vnf("robot-driver", "robot") };
+    let planner = Vnf { program: command(["sleep", "1"]), ..vnf("planner", "edge") };
+    let navigation = VirtualLink {
+        from: id("robot-driver"),
+        to: id("navigation"),
+        rate: BitRate::from_mbps(1.0).unwrap(),
+    };
+    let service = Service {
+        virtual_links: vec![navigation],
+        ..service("robot", vec![driver, vnf("navigation", "cloud"), planner])
+    };
+    Testbed { services: vec![service], ..testbed(graph) }
 }
 
 /// Returns words as a command.

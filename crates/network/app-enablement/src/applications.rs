@@ -5,7 +5,7 @@ use std::{
     net::Ipv4Addr,
 };
 
-use cotorra_graph::{NodeId, Nodes, Placement, Program, Testbed, Timestamp, Vnf, VnfId};
+use cotorra_graph::{HardwareGraph, NodeId, Nodes, Placement, Program, Testbed, Timestamp, Vnf, VnfId};
 use cotorra_mec::RequestError;
 
 /// The fixed part: a domain's nodes, and the VNFs of its testbed file.
@@ -36,9 +36,9 @@ pub(crate) struct Application {
 }
 
 impl Site {
-    /// Collects the nodes and VNFs of a domain's part of a testbed. `port` returns the port at which a VNF serves, if the
-    /// testbed knows it.
-    pub fn new(part: &Testbed, port: impl Fn(&VnfId) -> Option<u16>) -> Self {
+    /// Collects the nodes and VNFs of a domain's `part` of the testbed with a graph. `port` returns the port at which a VNF
+    /// serves, if the testbed knows it.
+    pub fn new(whole: &HardwareGraph, part: &Testbed, port: impl Fn(&VnfId) -> Option<u16>) -> Self {
         let of_services = part
             .services
             .iter()
@@ -53,7 +53,8 @@ impl Site {
             vnfs: all.into_iter().map(|(vnf, robot)| (vnf.id.clone(), robot)).collect(),
             addresses: graph
                 .hosts()
-                .filter_map(|node| Some((node.id.clone(), graph.address(&node.id)?.ipv4)))
+                // Addresses follow the order of all hosts.
+                .filter_map(|node| Some((node.id.clone(), whole.address(&node.id)?.ipv4)))
                 .collect(),
         }
     }

@@ -12,6 +12,7 @@ pub mod http;
 mod links;
 mod mobility;
 mod registry;
+mod subscription;
 mod support;
 #[cfg(test)]
 mod testing;

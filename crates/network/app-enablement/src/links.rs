@@ -1,8 +1,6 @@
 //! Paths and lists of subscriptions that belong to an application.
 
-use std::sync::Arc;
-
-use cotorra_mec::{InvalidRequest, Subscribed, Subscriptions};
+use cotorra_mec::{Subscribed, Subscriptions};
 use serde_json::{Value, json};
 
 /// Path of an application's subscriptions.
@@ -11,11 +9,6 @@ pub(crate) const SUBSCRIPTIONS: &str = "applications/{appInstanceId}/subscriptio
 /// Returns the path of the subscriptions of an application.
 pub(crate) fn subscriptions_of(application: &str) -> String {
     SUBSCRIPTIONS.replace("{appInstanceId}", application)
-}
-
-/// Returns the application that a list of subscriptions belongs to.
-pub(crate) fn application_of(list: &str) -> String {
-    list.split('/').nth(1).unwrap_or_default().to_owned()
 }
 
 /// Returns links to the subscriptions of a list, under the name that the standard gives them.
@@ -32,22 +25,7 @@ pub(crate) fn links<S: Subscribed>(
     json!({ "_links": { "self": { "href": format!("{base}/{list}") }, name: all } })
 }
 
-/// Checks the type that a subscription declares.
-pub(crate) fn check_type(given: &str, type_name: &str) -> Result<(), InvalidRequest> {
-    if given == type_name {
-        return Ok(());
-    }
-    InvalidRequest::malformed(format!("subscriptionType must be {type_name}"))
-}
-
 /// Returns the base URI of a service, given the URI of one of its subscriptions.
 pub(crate) fn base_of<'a>(href: &'a str, list: &str) -> &'a str {
     href.split_once(&format!("/{list}/")).map_or(href, |(base, _)| base)
-}
-
-/// Returns the notification that tests whether notifications arrive.
-pub(crate) fn test(href: &str) -> Arc<str> {
-    let notification =
-        json!({ "notificationType": "TestNotification", "_links": { "subscription": { "href": href } } });
-    notification.to_string().into()
 }

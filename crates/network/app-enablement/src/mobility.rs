@@ -152,7 +152,7 @@ impl Machine for Mobility {
     }
 
     fn check(&self, subscription: &MobilitySubscription) -> Result<(), RequestError> {
-        subscription.application().map_or(Ok(()), |id| self.applications.find(id).map(drop))
+        subscription.wanted.application().map_or(Ok(()), |id| self.applications.find(id).map(drop))
     }
 
     fn schedule(&self, _: Timestamp, _: &MobilitySubscription) -> Schedule {
@@ -167,7 +167,7 @@ impl Machine for Mobility {
         let (site, applications) = (&self.site, &self.applications);
         let at = self.epoch.at(applications.at);
         self.subscriptions.poll(now, |subscription, schedule, href| {
-            let due = schedule.poll(subscription, site, moves(applications));
+            let due = schedule.poll(&subscription.wanted, site, moves(applications));
             due.into_iter().map(move |moved| moved.notification(at, href)).collect::<Vec<_>>()
         })
     }

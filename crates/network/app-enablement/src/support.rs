@@ -3,12 +3,12 @@
 mod termination;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, VecDeque},
     sync::Arc,
 };
 
 use cotorra_graph::{Timestamp, VnfId};
-use cotorra_mec::{Dispatch, Epoch, InvalidRequest, Machine, RequestError, Subscriptions, Target};
+use cotorra_mec::{Dispatch, Epoch, InvalidRequest, MOST, Machine, RequestError, Subscriptions, Target};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -27,8 +27,8 @@ pub struct Support {
     applications: Applications,
     /// When each application confirmed that it is ready.
     ready: BTreeMap<VnfId, Timestamp>,
-    /// Applications that were removed.
-    ended: BTreeSet<VnfId>,
+    /// Applications that were removed, the last ones.
+    ended: VecDeque<VnfId>,
     subscriptions: Subscriptions<TerminationSubscription>,
 }
 
@@ -89,7 +89,7 @@ impl Support {
             epoch,
             applications: Applications::default(),
             ready: BTreeMap::new(),
-            ended: BTreeSet::new(),
+            ended: VecDeque::new(),
             subscriptions: Subscriptions::new(epoch),
         }
     }
@@ -127,9 +127,9 @@ impl Support {
         }
     }
 
-    /// Returns when an application confirmed that it is ready.
-    pub fn ready_since(&self, application: &VnfId) -> Option<Timestamp> {
-        self.ready.get(application).copied()
+    /// Returns the applications, and when each confirmed that it is ready.
+    pub fn readiness(&self) -> impl Iterator<Item = (&VnfId, Option<Timestamp>)> {
+        self.applications.iter().map(|(application, _)| (application, self.ready.get(application).copied()))
     }
 
     /// Returns TimingCaps (7.1.2.4). The platform has no time servers.
@@ -200,8 +200,11 @@ impl Machine for Support {
 
     fn observe(&mut self, applications: Applications) {
         self.ready.retain(|application, _| applications.has(application));
-        self.ended.extend(self.applications.iter().map(|(application, _)| application.clone()));
         self.ended.retain(|application| !applications.has(application));
+        let gone = self.applications.iter().map(|(application, _)| application);
+        self.ended.extend(gone.filter(|application| !applications.has(application)).cloned());
+        let surplus = self.ended.len().saturating_sub(MOST);
+        self.ended.drain(..surplus);
         self.applications = applications;
     }
 

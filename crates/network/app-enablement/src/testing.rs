@@ -1,37 +1,14 @@
 //! A testbed for tests: where its applications are, at a time that the test sets.
 
-use std::{collections::BTreeMap, path::Path, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
-use cotorra_graph::{NodeId, Nodes, Placement, Timestamp, VnfId};
+use cotorra_graph::{NodeId, Nodes, Placement, Testbed, Timestamp, VnfId};
 use cotorra_mec::{Dispatch, Epoch, Machine, Outcome};
 use serde_json::Value;
 
 use crate::{Applications, Site};
 
 pub(crate) const EPOCH: Epoch = Epoch { unix_ns: 1_000_000_000_000 };
-
-const FILE: &str = "
-name: rooms
-wireless: { lab: { standard: n } }
-nodes:
-  r1: { kind: robot, position: [1, 1] }
-  west: { kind: radio_unit, position: [0, 0], channel: 1 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 8, memory: 8 GB }
-  cloud: { kind: server, tier: cloud, cpus: 8, memory: 8 GB }
-links:
-  - { ends: [lan, [west, edge, cloud]], rate: 100 Mbit/s }
-services:
-  navigation:
-    robot: r1
-    kpis: { service_time: 50 ms }
-    vnfs:
-      robot-driver: { program: robot_driver, pinned_to: r1 }
-      navigation: { program: navigation, node: cloud, cpus: 1, memory: 1 GB }
-      planner: { command: [sleep, '1'], node: edge, cpus: 1, memory: 1 GB }
-walks:
-  r1: { waypoints: [[1, 1], [2, 1]] }
-";
 
 /// The applications of the testbed, and the current time.
 pub(crate) struct World {
@@ -51,11 +28,15 @@ fn node(name: &str) -> Nodes {
 
 impl World {
     pub(crate) fn new() -> Self {
-        let testbed = cotorra_testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap();
+        Self::of(&cotorra_graph_testing::applications(["home", "home"]))
+    }
+
+    /// Returns a world of a testbed that has these applications, and perhaps more.
+    pub(crate) fn of(testbed: &Testbed) -> Self {
         let port = |vnf: &VnfId| (*vnf == *"navigation").then_some(5000);
-        let site = Arc::new(Site::new(&testbed, port));
+        let site = Arc::new(Site::new(&testbed.graph, testbed, port));
         let mut world = Self { site, now: 0.0, placements: BTreeMap::new(), wanted: BTreeMap::new() };
-        for (name, on) in [("robot-driver", "r1"), ("navigation", "cloud"), ("planner", "edge")] {
+        for (name, on) in [("robot-driver", "robot"), ("navigation", "cloud"), ("planner", "edge")] {
             world.serve(name, on);
         }
         world

@@ -2,13 +2,21 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use cotorra_graph::{BitRate, Instruction, LinkId, MapReservation, NodeId, Reservations, Testbed};
-use cotorra_mec::{InvalidRequest, MOST, Problem, RequestError, Resource, check_unchanged, etag};
+use cotorra_graph::{BitRate, LinkId, NodeId, Testbed};
+use cotorra_mec::{InvalidRequest, Limiter, MOST, RequestError, Resource, check_unchanged, etag};
 
 use crate::{
-    session::{Survey, ends},
+    allocation::{Allocation, Path},
+    change::Change,
+    consumer::Consumer,
+    error::BandwidthError,
+    selection::Selection,
+    session::{Seen, Survey},
     types::{AllocationDirection, BwInfo, BwInfoDeltas},
 };
+
+/// The most allocations of one application.
+const MOST_OF_APPLICATION: usize = 16;
 
 /// The allocations of a testbed.
 #[derive(Debug)]
@@ -16,184 +24,66 @@ pub struct Bandwidth {
     testbed: Arc<Testbed>,
     allocations: BTreeMap<u64, Allocation>,
     last: u64,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-struct Allocation {
-    info: BwInfo,
-    version: u64,
-    paths: Vec<Path>,
-}
-
-/// A reserved path.
-#[derive(Debug, Clone, PartialEq)]
-struct Path {
-    ends: [NodeId; 2],
-    links: Vec<LinkId>,
-    rate: BitRate,
-}
-
-/// A rejected request. Nothing has changed.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum BandwidthError {
-    /// The request is invalid, or asks for what no link can keep.
-    #[error(transparent)]
-    Request(#[from] RequestError),
-    /// The state of the testbed does not allow it.
-    #[error("{0}")]
-    Refused(String),
-}
-
-impl From<InvalidRequest> for BandwidthError {
-    fn from(error: InvalidRequest) -> Self {
-        Self::Request(error.into())
-    }
-}
-
-impl From<BandwidthError> for Problem {
-    fn from(error: BandwidthError) -> Self {
-        match error {
-            BandwidthError::Request(error) => error.into(),
-            BandwidthError::Refused(reason) => Self::forbidden(reason),
-        }
-    }
-}
-
-/// A change of one allocation, which is not in force yet.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Change {
-    id: u64,
-    after: Option<Allocation>,
-    steps: Vec<Step>,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-struct Step {
-    before: Option<Path>,
-    after: Option<Path>,
-}
-
-impl Path {
-    fn map(&self) -> Instruction {
-        let [from, to] = self.ends.clone();
-        let reservation = MapReservation { kept: Reservations::Limited, rate: Some(self.rate) };
-        Instruction::Map { from, to, links: self.links.clone(), reservation: Some(reservation) }
-    }
-
-    fn unmap(&self) -> Instruction {
-        let [from, to] = self.ends.clone();
-        Instruction::Map { from, to, links: Vec::new(), reservation: None }
-    }
-}
-
-impl Change {
-    /// Returns instructions that bring it about, in order. If one is rejected, [`Self::undo`] has those that take back the ones
-    /// before it.
-    pub fn instructions(&self) -> impl Iterator<Item = Instruction> {
-        self.steps.iter().filter_map(|step| Step::instruction(&step.before, &step.after))
-    }
-
-    /// Returns the instructions that take back the first so many.
-    pub fn undo(&self, done: usize) -> impl Iterator<Item = Instruction> {
-        let done = &self.steps[..done.min(self.steps.len())];
-        done.iter().rev().filter_map(|step| Step::instruction(&step.after, &step.before))
-    }
-}
-
-impl Step {
-    fn instruction(from: &Option<Path>, to: &Option<Path>) -> Option<Instruction> {
-        to.as_ref().map(Path::map).or_else(|| from.as_ref().map(Path::unmap))
-    }
-}
-
-/// Which allocations a list has.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Selection {
-    apps: Vec<String>,
-    names: Vec<String>,
-    sessions: Vec<String>,
-}
-
-impl Selection {
-    /// Reads the parameters of a query. Only one kind may be given.
-    ///
-    /// # Errors
-    /// [`InvalidRequest::Malformed`].
-    pub fn read(parameters: &[(String, String)]) -> Result<Self, InvalidRequest> {
-        let mut selection = Self::default();
-        for (name, value) in parameters {
-            let list = match name.as_str() {
-                "app_instance_id" => &mut selection.apps,
-                "app_name" => &mut selection.names,
-                "session_id" => &mut selection.sessions,
-                _ => {
-                    return InvalidRequest::malformed(format!(
-                        "there is no parameter `{name}`; there are app_instance_id, app_name, session_id"
-                    ));
-                }
-            };
-            list.extend(value.split(',').map(str::to_owned));
-        }
-        let kinds = [&selection.apps, &selection.names, &selection.sessions];
-        if kinds.iter().filter(|list| !list.is_empty()).count() > 1 {
-            return InvalidRequest::malformed(
-                "only one of app_instance_id, app_name and session_id can be given",
-            );
-        }
-        Ok(selection)
-    }
-
-    fn has(&self, info: &BwInfo) -> bool {
-        let among = |list: &[String], value: &Option<String>| {
-            list.is_empty() || value.as_ref().is_some_and(|value| list.contains(value))
-        };
-        let is_session = info.request_type == 1;
-        (self.apps.is_empty() || self.apps.contains(&info.app_ins_id))
-            && among(&self.names, &info.app_name)
-            && (self.sessions.is_empty() || is_session && among(&self.sessions, &info.allocation_id))
-    }
+    /// The limits on each consumer's changes.
+    limiters: BTreeMap<Consumer, Limiter>,
 }
 
 impl Bandwidth {
     /// Creates the service of a testbed, without allocations.
     pub fn new(testbed: Arc<Testbed>) -> Self {
-        Self { testbed, allocations: BTreeMap::new(), last: 0 }
+        Self { testbed, allocations: BTreeMap::new(), last: 0, limiters: BTreeMap::new() }
     }
 
-    /// Returns the selected allocations.
-    pub fn list(&self, selection: &Selection) -> Vec<&BwInfo> {
-        self.allocations
-            .values()
-            .map(|allocation| &allocation.info)
-            .filter(|info| selection.has(info))
-            .collect()
+    /// Whether there is any allocation.
+    pub fn is_empty(&self) -> bool {
+        self.allocations.is_empty()
+    }
+
+    /// Returns the selected allocations that a consumer sees.
+    pub fn list(&self, consumer: &Consumer, selection: &Selection) -> Vec<&BwInfo> {
+        let seen = self.allocations.values().filter(|allocation| consumer.sees(&allocation.owner));
+        seen.map(|allocation| &allocation.info).filter(|info| selection.has(info)).collect()
     }
 
     /// Returns an allocation. `base` is the URI under which the consumer sees the service.
     ///
     /// # Errors
     /// [`RequestError::NotFound`].
-    pub fn get(&self, base: &str, id: &str) -> Result<Resource<BwInfo>, RequestError> {
-        let (id, allocation) = self.find(id)?;
+    pub fn get(&self, consumer: &Consumer, base: &str, id: &str) -> Result<Resource<BwInfo>, RequestError> {
+        let (id, allocation) = self.find(consumer, id)?;
         Ok(resource(base, id, allocation))
     }
 
-    fn find(&self, id: &str) -> Result<(u64, &Allocation), RequestError> {
+    fn find(&self, consumer: &Consumer, id: &str) -> Result<(u64, &Allocation), RequestError> {
         let found = id.parse().ok().and_then(|id: u64| Some((id, self.allocations.get(&id)?)));
-        found.ok_or_else(|| RequestError::NotFound { what: "allocation", id: id.to_owned() })
+        let seen = found.filter(|(_, allocation)| consumer.sees(&allocation.owner));
+        seen.ok_or_else(|| RequestError::NotFound { what: "allocation", id: id.to_owned() })
+    }
+
+    fn admit(&mut self, seen: Seen<'_>) -> Result<(), RequestError> {
+        let limiter = self.limiters.entry(seen.consumer.clone()).or_default();
+        Ok(limiter.admit(seen.survey.at)?)
     }
 
     /// Plans a new allocation.
     ///
     /// # Errors
     /// [`BandwidthError`].
-    pub fn create(&self, survey: &Survey, info: BwInfo) -> Result<Change, BandwidthError> {
-        if self.allocations.len() >= MOST {
+    pub fn create(&mut self, seen: Seen<'_>, info: BwInfo) -> Result<Change, BandwidthError> {
+        self.admit(seen)?;
+        let owner = seen.consumer.clone();
+        let count = |is: &dyn Fn(&Consumer) -> bool| {
+            self.allocations.values().filter(|allocation| is(&allocation.owner)).count()
+        };
+        if count(&|other| other.domain() == owner.domain()) >= MOST {
             return Err(RequestError::Full.into());
         }
+        if owner.application().is_some() && count(&|other| *other == owner) >= MOST_OF_APPLICATION {
+            let reason = format!("an application has at most {MOST_OF_APPLICATION} allocations");
+            return Err(BandwidthError::Refused(reason));
+        }
         let id = self.last + 1;
-        let paths = self.paths(survey, &info, None)?;
-        Ok(change(id, info, 1, &[], paths))
+        Ok(Change::new(id, &[], self.allocation(seen, id, (owner, 1), info)?))
     }
 
     /// Plans the replacement of an allocation.
@@ -201,19 +91,24 @@ impl Bandwidth {
     /// # Errors
     /// [`BandwidthError`].
     pub fn replace(
-        &self,
-        survey: &Survey,
+        &mut self,
+        seen: Seen<'_>,
         id: &str,
         if_match: Option<&str>,
         info: BwInfo,
     ) -> Result<Change, BandwidthError> {
-        let (id, before) = self.find(id)?;
+        self.admit(seen)?;
+        let (id, before) = self.find(seen.consumer, id)?;
         check_unchanged(if_match, id, before.version)?;
         if info.allocation_id.as_ref().is_some_and(|named| *named != id.to_string()) {
             return Err(InvalidRequest::Malformed(format!("the allocationId is {id}")).into());
         }
-        let paths = self.paths(survey, &info, Some(id))?;
-        Ok(change(id, info, before.version + 1, &before.paths, paths))
+        let owner = before.owner.clone();
+        if owner.application().is_some_and(|own| *own != *info.app_ins_id) {
+            return Err(BandwidthError::Refused("it stays with the application that made it".to_owned()));
+        }
+        let after = self.allocation(seen, id, (owner, before.version + 1), info)?;
+        Ok(Change::new(id, &before.paths, after))
     }
 
     /// Plans changes of an allocation.
@@ -221,14 +116,14 @@ impl Bandwidth {
     /// # Errors
     /// [`BandwidthError`].
     pub fn modify(
-        &self,
-        survey: &Survey,
+        &mut self,
+        seen: Seen<'_>,
         id: &str,
         if_match: Option<&str>,
         deltas: BwInfoDeltas,
     ) -> Result<Change, BandwidthError> {
         let BwInfo { app_name, session_filter, fixed_allocation, allocation_direction, .. } =
-            self.find(id)?.1.info.clone();
+            self.find(seen.consumer, id)?.1.info.clone();
         let info = BwInfo {
             allocation_id: deltas.allocation_id,
             app_ins_id: deltas.app_ins_id,
@@ -239,18 +134,39 @@ impl Bandwidth {
             fixed_allocation: deltas.fixed_allocation.unwrap_or(fixed_allocation),
             allocation_direction: deltas.allocation_direction.unwrap_or(allocation_direction),
         };
-        self.replace(survey, id, if_match, info)
+        self.replace(seen, id, if_match, info)
     }
 
     /// Plans the end of an allocation.
     ///
     /// # Errors
     /// [`RequestError`].
-    pub fn remove(&self, id: &str, if_match: Option<&str>) -> Result<Change, RequestError> {
-        let (id, before) = self.find(id)?;
+    pub fn remove(
+        &mut self,
+        seen: Seen<'_>,
+        id: &str,
+        if_match: Option<&str>,
+    ) -> Result<Change, RequestError> {
+        self.admit(seen)?;
+        let (id, before) = self.find(seen.consumer, id)?;
         check_unchanged(if_match, id, before.version)?;
-        let steps = before.paths.iter().map(|path| Step { before: Some(path.clone()), after: None });
-        Ok(Change { id, after: None, steps: steps.collect() })
+        Ok(Change::end(id, before.paths.iter()))
+    }
+
+    /// Returns the ends of allocations whose time is over, with the reason. `now` is a survey of the whole testbed.
+    pub fn ended(&mut self, now: &Survey) -> Vec<(Change, String)> {
+        let is_there = |consumer: &Consumer| match consumer.application() {
+            Some(application) => now.nodes.contains_key(application),
+            None => true,
+        };
+        self.limiters.retain(|consumer, _| is_there(consumer));
+        let end = |(id, allocation): (&u64, &Allocation)| {
+            let reason = allocation.end(now)?;
+            // What somebody else has mapped since is not the allocation's.
+            let paths = allocation.paths.iter().filter(|path| path.is_in_force(now));
+            Some((Change::end(*id, paths), reason))
+        };
+        self.allocations.iter().filter_map(end).collect()
     }
 
     /// Records that a change is in force. Returns the allocation, if it has not ended.
@@ -270,8 +186,14 @@ impl Bandwidth {
         }
     }
 
-    /// Returns the paths of an allocation. `own` is one that it replaces.
-    fn paths(&self, survey: &Survey, info: &BwInfo, own: Option<u64>) -> Result<Vec<Path>, BandwidthError> {
+    /// Returns the allocation with this number as an owner's next version of it.
+    fn allocation(
+        &self,
+        seen: Seen<'_>,
+        id: u64,
+        (owner, version): (Consumer, u64),
+        info: BwInfo,
+    ) -> Result<Allocation, BandwidthError> {
         if info.fixed_bw_priority.is_some() {
             let reason = "links keep rates, not priorities: leave fixedBWPriority out";
             return Err(InvalidRequest::Unsupported(reason).into());
@@ -283,59 +205,48 @@ impl Bandwidth {
                 info.fixed_allocation
             ))
         })?;
-        let [here, there] = ends(&self.testbed, survey, info)?;
+        let [here, there] = seen.ends(&self.testbed.graph, &info)?;
         let away = [here.clone(), there.clone()];
-        let towards = [there, here];
+        let towards = [there, here.clone()];
         let directions = match info.allocation_direction {
             AllocationDirection::Downlink => vec![away],
             AllocationDirection::Uplink => vec![towards],
             AllocationDirection::Symmetrical => vec![away, towards],
         };
-        directions.into_iter().map(|ends| self.path(survey, ends, rate, own)).collect()
+        let kept = owner.kept();
+        let path = |ends: [NodeId; 2]| Ok(Path { links: self.links(seen, &ends, id)?, ends, rate, kept });
+        let paths = directions.into_iter().map(path).collect::<Result<_, BandwidthError>>()?;
+        let info = BwInfo { allocation_id: Some(id.to_string()), ..info };
+        Ok(Allocation { info, owner, version, node: here, paths })
     }
 
-    fn path(
+    /// Returns the links of the path between two nodes, unless it is mapped for something other than the allocation `own`.
+    fn links(
         &self,
-        survey: &Survey,
-        ends: [NodeId; 2],
-        rate: BitRate,
-        own: Option<u64>,
-    ) -> Result<Path, BandwidthError> {
-        let [from, to] = &ends;
-        let allocated = |(id, _): &(&u64, &Allocation)| Some(**id) != own;
-        let of_others = self.allocations.iter().filter(allocated);
-        let mut others =
-            of_others.flat_map(|(id, allocation)| allocation.paths.iter().map(move |path| (id, path)));
-        if let Some((id, _)) = others.find(|(_, path)| path.ends == ends) {
+        Seen { consumer, part, survey }: Seen<'_>,
+        ends: &[NodeId; 2],
+        own: u64,
+    ) -> Result<Vec<LinkId>, BandwidthError> {
+        let [from, to] = ends;
+        let has = |allocation: &Allocation| allocation.paths.iter().any(|path| path.ends == *ends);
+        let is_own = self.allocations.get(&own).is_some_and(has);
+        let other = self.allocations.iter().find(|(id, other)| **id != own && has(other));
+        if let Some((id, _)) = other.filter(|(_, other)| consumer.sees(&other.owner)) {
             let reason = format!("the packets from `{from}` to `{to}` are those of the allocation {id}");
             return Err(BandwidthError::Refused(reason));
         }
-        let owned =
-            own.and_then(|id| self.allocations.get(&id)).map(|own| own.paths.as_slice()).unwrap_or_default();
-        if !owned.iter().any(|path| path.ends == ends) && survey.is_mapped(from, to) {
+        if other.is_some() || !is_own && survey.mapped.contains_key(ends) {
             let reason = format!("the packets from `{from}` to `{to}` have a mapped path already");
             return Err(BandwidthError::Refused(reason));
         }
-        let graph = &self.testbed.graph;
-        let route = graph.route(from, to, |robot| survey.attached.get(robot));
+        let route = part.graph.route(from, to, |robot| survey.attached.get(robot));
         let links = route.map(|route| route.links).unwrap_or_default();
-        if !links.iter().any(|link| graph.links.iter().any(|wired| wired.id == *link)) {
+        if !links.iter().any(|link| part.graph.links.iter().any(|wired| wired.id == *link)) {
             let reason = "the path has no wired link, and only these keep rates";
             return Err(InvalidRequest::Unsupported(reason).into());
         }
-        Ok(Path { ends, links, rate })
+        Ok(links)
     }
-}
-
-/// Returns the change from some paths to others. Paths that go come first.
-fn change(id: u64, info: BwInfo, version: u64, before: &[Path], after: Vec<Path>) -> Change {
-    let info = BwInfo { allocation_id: Some(id.to_string()), ..info };
-    let same = |a: &Path, among: &[Path]| among.iter().find(|b| b.ends == a.ends).cloned();
-    let gone = before.iter().filter(|path| same(path, &after).is_none());
-    let gone = gone.map(|path| Step { before: Some(path.clone()), after: None });
-    let kept = after.iter().map(|path| Step { before: same(path, before), after: Some(path.clone()) });
-    let steps = gone.chain(kept).filter(|step| step.before != step.after).collect();
-    Change { id, after: Some(Allocation { info, version, paths: after }), steps }
 }
 
 fn resource(base: &str, id: u64, allocation: &Allocation) -> Resource<BwInfo> {

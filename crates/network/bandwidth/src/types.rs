@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// An allocation of bandwidth.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BwInfo {
     /// The allocation; set by the service.
@@ -29,7 +29,7 @@ pub struct BwInfo {
 }
 
 /// Changes of an allocation.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BwInfoDeltas {
     /// The allocation.
@@ -54,7 +54,7 @@ pub struct BwInfoDeltas {
 }
 
 /// A session: the packets between two addresses.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SessionFilter {
     /// Source address.
@@ -75,7 +75,7 @@ pub struct SessionFilter {
 }
 
 /// One port, as in v2.2.1, or several, as in v2.1.1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum Ports {
     /// One.
@@ -85,7 +85,7 @@ pub enum Ports {
 }
 
 /// Direction of the packets that an allocation is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub enum AllocationDirection {
     /// Away from the application.
     #[serde(rename = "00")]

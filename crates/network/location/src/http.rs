@@ -1,5 +1,8 @@
 //! The HTTP resources of a [`Location`] (ETSI GS MEC 013 v3.1.1, clause 7).
 
+#[cfg(test)]
+mod document;
+
 use axum::{
     Router,
     extract::{Path, State},
@@ -20,6 +23,11 @@ use crate::{
 pub type Service = cotorra_mec::Service<Location>;
 
 type Answer = Result<Response, Problem>;
+
+/// Returns the OpenAPI document of the service, which is checked in. A test derives it from the types, and compares.
+pub fn openapi() -> String {
+    include_str!("../../../../docs/location.openapi.json").to_owned()
+}
 
 /// Returns the resources of a service.
 pub fn router(service: &Service) -> Router {

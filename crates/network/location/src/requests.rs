@@ -11,7 +11,7 @@ const LONGEST_LIST: usize = 256;
 const LONGEST_REPORTING: u64 = 8_639_999;
 
 /// A subscription. Requests and answers have it as an object with one attribute, its type in lower camel case.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub enum Subscription {
     /// A user enters or leaves zones or access points.
@@ -29,7 +29,7 @@ pub enum Subscription {
 }
 
 /// The part that all subscriptions have.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct Common {
     /// Name of the type.
@@ -43,7 +43,7 @@ pub struct Common {
 }
 
 /// Whether a user enters or leaves (6.4.5).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum LocationEventType {
     EnteringAreaEvent,
@@ -51,7 +51,7 @@ pub enum LocationEventType {
 }
 
 /// Bounds on notifications (6.5.6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ReportingCtrl {
     /// Seconds between notifications, at least.
@@ -66,7 +66,7 @@ pub struct ReportingCtrl {
 }
 
 /// How often events are notified (6.4.7).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum OccurrenceInfo {
     OneTimeEvent,
@@ -74,7 +74,7 @@ pub enum OccurrenceInfo {
 }
 
 /// What a user enters or leaves (6.5.8).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserEventPara {
     /// Access points; without any, zones.
@@ -91,7 +91,7 @@ pub struct UserEventPara {
 }
 
 /// A user enters or leaves zones or access points (6.3.4).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserLocationEventSubscription {
     #[serde(flatten)]
@@ -105,7 +105,7 @@ pub struct UserLocationEventSubscription {
 }
 
 /// When periodic reports come (6.5.10).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct PeriodicEventInfo {
     /// Number of reports.
@@ -115,7 +115,7 @@ pub struct PeriodicEventInfo {
 }
 
 /// A user's location, periodically (6.3.5).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserLocationPeriodicSubscription {
     #[serde(flatten)]
@@ -125,7 +125,7 @@ pub struct UserLocationPeriodicSubscription {
 }
 
 /// Users enter or leave a zone (6.3.6).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ZoneLocationEventSubscription {
     #[serde(flatten)]
@@ -142,7 +142,7 @@ pub struct ZoneLocationEventSubscription {
 }
 
 /// Numbers of users in a zone, and states of its access points (6.3.7).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ZoneStatusSubscription {
     #[serde(flatten)]
@@ -168,14 +168,14 @@ pub struct ZoneStatusSubscription {
 }
 
 /// A place on Earth, degrees (6.5.15).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Point {
     pub latitude: f64,
     pub longitude: f64,
 }
 
 /// An area (6.5.14).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AreaInfo {
     /// 1: circle; 2: polygon.
     pub shape: u8,
@@ -187,7 +187,7 @@ pub struct AreaInfo {
 }
 
 /// Users enter or leave an area (6.3.8).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserAreaSubscription {
     #[serde(flatten)]
@@ -207,7 +207,7 @@ pub struct UserAreaSubscription {
 }
 
 /// Which distances are notified (6.4.6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub enum DistanceCriteria {
     AllWithinDistance,
     AnyWithinDistance,
@@ -216,7 +216,7 @@ pub enum DistanceCriteria {
 }
 
 /// Distances between users (6.3.9).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserDistanceSubscription {
     #[serde(flatten)]

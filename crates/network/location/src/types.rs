@@ -5,7 +5,7 @@ use cotorra_mec::{LinkType, TimeStamp};
 use serde::{Deserialize, Serialize};
 
 /// Whether an access point serves (6.4.3).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 pub enum OperationStatus {
     /// It has reported.
     Serviceable,
@@ -16,13 +16,13 @@ pub enum OperationStatus {
 }
 
 /// Kind of an access point (6.4.2). All of the testbed are Wi-Fi.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub enum ConnectionType {
     Wifi,
 }
 
 /// A zone: a domain of the testbed file (6.2.7).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ZoneInfo {
     pub zone_id: String,
@@ -34,7 +34,7 @@ pub struct ZoneInfo {
 }
 
 /// Zones (6.2.8).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct ZoneList {
     pub zone: Vec<ZoneInfo>,
     #[serde(rename = "resourceURL")]
@@ -42,7 +42,7 @@ pub struct ZoneList {
 }
 
 /// An access point: a radio unit (6.2.1).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct AccessPointInfo {
     pub access_point_id: String,
@@ -57,7 +57,7 @@ pub struct AccessPointInfo {
 }
 
 /// Access points of a zone (6.2.2).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct AccessPointList {
     pub zone_id: String,
@@ -67,7 +67,7 @@ pub struct AccessPointList {
 }
 
 /// A user: a robot that is attached to an access point (6.2.5).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct UserInfo {
     /// `acr:` and the robot's name.
@@ -82,7 +82,7 @@ pub struct UserInfo {
 }
 
 /// Users (6.2.6).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UserList {
     pub user: Vec<UserInfo>,
     #[serde(rename = "resourceURL")]
@@ -90,7 +90,7 @@ pub struct UserList {
 }
 
 /// A location on Earth and on the map, as far as known.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct Whereabouts {
     /// If the testbed file locates its map.
@@ -101,7 +101,7 @@ pub struct Whereabouts {
 }
 
 /// A place on Earth, WGS 84 (6.5.3).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct LocationInfo {
     /// Degrees north.
     pub latitude: [f64; 1],
@@ -118,7 +118,7 @@ pub struct LocationInfo {
 }
 
 /// A place on the testbed's map (6.5.11).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct RelativeLocationInfo {
     #[serde(rename = "mapInfo")]
     pub map_info: MapInfo,
@@ -134,7 +134,7 @@ pub struct RelativeLocationInfo {
 }
 
 /// The testbed's map (6.5.12).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MapInfo {
     /// Name of the testbed.
@@ -145,7 +145,7 @@ pub struct MapInfo {
 }
 
 /// Origin of a map (6.5.13).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Origin {
     pub latitude: f64,
     pub longitude: f64,
@@ -154,7 +154,7 @@ pub struct Origin {
 }
 
 /// Distance of a user from another, or from a place (6.2.3).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct TerminalDistance {
     /// Metres, rounded.
     pub distance: u32,
@@ -165,7 +165,7 @@ pub struct TerminalDistance {
 }
 
 /// Links to subscriptions (6.3.3).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct NotificationSubscriptionList {
     #[serde(rename = "resourceURL")]
     pub resource_url: LinkType,
@@ -173,7 +173,7 @@ pub struct NotificationSubscriptionList {
 }
 
 /// A link to a subscription.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SubscriptionLink {
     pub href: String,

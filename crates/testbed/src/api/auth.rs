@@ -157,6 +157,11 @@ impl Caller {
         }
     }
 
+    /// Returns the application that the token belongs to.
+    pub(super) fn application(&self) -> Option<&VnfId> {
+        self.application.as_ref()
+    }
+
     /// Returns the owner of the caller's connections.
     pub(super) fn whose(&self) -> Whose {
         match (&self.plugin, &self.view) {

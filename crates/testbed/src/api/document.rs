@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{capture, clock, coverage, map, measurements, routes, sensors, stream};
+use super::{capture, clock, coverage, map, measurements, readiness, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -33,6 +33,7 @@ use super::{capture, clock, coverage, map, measurements, routes, sensors, stream
         routes::radio_units,
         coverage::coverage,
         routes::placements,
+        readiness::applications,
         routes::virtual_links,
         routes::vnfs,
         routes::add_vnf,

@@ -1,7 +1,7 @@
-//! Services of ETSI MEC. `/wai/v2`, the WLAN Access Information Service (ETSI GS MEC 028), and `/location/v2`, the Location
-//! API (ETSI GS MEC 013), are for all of the testbed. Below `/domains/{name}` each domain has both for its own radio units,
-//! and serves its applications: `/mec_service_mgmt/v1` and `/mec_app_support/v1` (ETSI GS MEC 011), and `/amsi/v1` (ETSI GS
-//! MEC 021).
+//! Services of ETSI MEC. `/wai/v2`, the WLAN Access Information Service (ETSI GS MEC 028), `/location/v2`, the Location
+//! API (ETSI GS MEC 013), and `/bwm/v1`, the Bandwidth Management API (ETSI GS MEC 015), are for all of the testbed. Below
+//! `/domains/{name}` each domain has them for its own nodes, and serves its applications: `/mec_service_mgmt/v1` and
+//! `/mec_app_support/v1` (ETSI GS MEC 011), and `/amsi/v1` (ETSI GS MEC 021).
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,41 +20,61 @@ use cotorra_wais::{self as wais, Wais};
 
 use super::{
     auth::{self, Gate},
+    bandwidth::{self, Allocations},
     context::Context,
+    readiness::Readiness,
 };
-use crate::{domain::Domains, events::live::Snapshot};
+use crate::{
+    domain::{DomainView, Domains},
+    events::live::Snapshot,
+};
 
 /// Longest age of answers in real time.
 const FRESHNESS: Duration = Duration::from_millis(20);
 
-/// The paths of services, and the tasks that send their notifications.
-struct Served {
+/// The services of ETSI MEC.
+pub(super) struct Served {
     context: Context,
-    router: Router,
-    tasks: Vec<Task>,
+    /// Their paths.
+    pub(super) router: Router,
+    /// The tasks that send their notifications.
+    pub(super) tasks: Vec<Task>,
+    /// The applications of each domain, and when they confirmed that they are ready.
+    pub(super) readiness: Readiness,
 }
 
-/// Returns the services' paths, and the tasks that send their notifications.
-pub(super) fn serve(context: &Context, gate: Gate, domains: &Domains) -> (Router, Vec<Task>) {
-    let mut served = Served { context: context.clone(), router: Router::new(), tasks: Vec::new() };
+/// Returns the services.
+pub(super) fn serve(context: &Context, gate: Gate, domains: &Domains) -> Served {
+    let mut served = Served {
+        context: context.clone(),
+        router: Router::new(),
+        tasks: Vec::new(),
+        readiness: Readiness::default(),
+    };
+    let allocations = Allocations::new(context);
+    served.tasks.extend(allocations.follow());
+    served.add_bandwidth(&allocations, "", None);
     served.add_radio(&Scope::Testbed, "");
     for domain in &context.testbed.graph.domains {
         let above = format!("/domains/{domain}");
         served.add_radio(&Scope::Domain(domain.clone()), &above);
         served.add_applications(domain, domains, &above);
+        served.add_bandwidth(&allocations, &above, domains.view(domain));
     }
     let no_domain =
         || async { Problem::new(StatusCode::NOT_FOUND, "there is no such domain; see /api/v1/testbed") };
-    let document = wais::http::openapi();
-    let router = served
-        .router
+    let router = std::mem::take(&mut served.router)
         .route("/domains/{*rest}", any(no_domain))
-        .layer(middleware::from_fn_with_state(gate, auth::check_mec))
-        .route(
-            "/wai/v2/openapi.json",
-            get(move || async move { ([("content-type", "application/json")], document) }),
-        );
-    (router, served.tasks)
+        .layer(middleware::from_fn_with_state(gate, auth::check_mec));
+    let documents = [
+        ("/wai/v2/openapi.json", wais::http::openapi()),
+        ("/location/v2/openapi.json", location::http::openapi()),
+        ("/bwm/v1/openapi.json", cotorra_bandwidth::openapi()),
+    ];
+    let with_document = |router: Router, (path, document): (_, String)| {
+        router.route(path, get(async move || ([("content-type", "application/json")], document)))
+    };
+    Served { router: documents.into_iter().fold(router, with_document), ..served }
 }
 
 /// Returns the services' paths at a port of an emulated node, which applications reach.
@@ -77,40 +97,52 @@ impl Served {
         self.add(scope, location, format!("{above}/location/v2"), location::http::router);
     }
 
+    /// Adds allocations of bandwidth below a path, for the operator or for the domain of a view.
+    fn add_bandwidth(&mut self, allocations: &Allocations, above: &str, view: Option<&Arc<DomainView>>) {
+        let prefix = format!("{above}{}", bandwidth::PATH);
+        let all = std::mem::take(&mut self.router);
+        self.router = all.nest(&prefix, allocations.router(prefix.clone(), view));
+    }
+
     /// Adds the services for applications of a domain, below a path.
     fn add_applications(&mut self, domain: &DomainId, domains: &Domains, above: &str) {
         let Some(view) = domains.view(domain) else { return };
         let testbed = Arc::clone(&self.context.testbed);
-        let site = Arc::new(enablement::Site::new(view.testbed(), |vnf| wire::port(&testbed, vnf)));
+        let site =
+            Arc::new(enablement::Site::new(&testbed.graph, view.testbed(), |vnf| wire::port(&testbed, vnf)));
         let (scope, epoch) = (Scope::Domain(domain.clone()), self.context.wais.epoch);
         let provided = |name, standard, version, path: String| Provided { name, standard, version, path };
         let services = vec![
             provided("wai", "MEC 028", "2.3.1", format!("{above}/wai/v2")),
             provided("location", "MEC 013", "3.1.1", format!("{above}/location/v2")),
+            provided("bwm", "MEC 015", "2.2.1", format!("{above}{}", bandwidth::PATH)),
             provided("amsi", "MEC 021", "2.2.1", format!("{above}/amsi/v1")),
             provided("app_lcm", "MEC 010-2", "2.1.1", "/app_lcm/v1".to_owned()),
         ];
         let registry = Registry::new(Arc::clone(&site), epoch, services);
         self.add(&scope, registry, format!("{above}/mec_service_mgmt/v1"), enablement::http::registry);
         let support = Support::new(Arc::clone(&site), epoch);
-        self.add(&scope, support, format!("{above}/mec_app_support/v1"), enablement::http::support);
+        let support =
+            self.add(&scope, support, format!("{above}/mec_app_support/v1"), enablement::http::support);
+        self.readiness.add(domain.clone(), support);
         let mobility = Mobility::new(site, epoch);
         self.add(&scope, mobility, format!("{above}/amsi/v1"), enablement::http::mobility);
     }
 
-    /// Adds a service below a path.
+    /// Adds a service below a path, and returns it.
     fn add<M: Surveyor>(
         &mut self,
         scope: &Scope,
         machine: M,
         prefix: String,
         router: impl Fn(&Service<M>) -> Router,
-    ) {
+    ) -> Service<M> {
         let allowed = self.context.callbacks(*scope == Scope::Testbed);
         let service = Service::new(Arc::new(ApiState(self.context.clone())), machine, allowed, prefix);
         let all = std::mem::take(&mut self.router);
         self.router = all.nest(service.prefix(), router(&service));
-        self.tasks.push(deliver(service));
+        self.tasks.push(deliver(service.clone()));
+        service
     }
 }
 

@@ -17,6 +17,7 @@ mod map;
 mod measurements;
 mod mec;
 mod page;
+mod readiness;
 mod routes;
 mod sensors;
 mod serve;
@@ -35,7 +36,7 @@ use std::{
 };
 
 use axum::{
-    Router, middleware,
+    Extension, Router, middleware,
     routing::{MethodRouter, delete, get, post},
 };
 use cotorra_mec::Delivery;
@@ -116,7 +117,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 37] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 38] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/clock", get(clock::clock).post(clock::control)),
@@ -135,6 +136,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 37] {
         ("/api/v1/network/radio-units", get(routes::radio_units)),
         ("/api/v1/network/coverage", get(coverage::coverage)),
         ("/api/v1/network/placements", get(routes::placements)),
+        ("/api/v1/network/applications", get(readiness::applications)),
         ("/api/v1/network/virtual-links", get(routes::virtual_links)),
         ("/api/v1/vnfs", get(routes::vnfs).post(routes::add_vnf)),
         ("/api/v1/vnfs/{vnf}", delete(routes::remove_vnf)),
@@ -323,9 +325,9 @@ impl Server {
         let (open, opened) = oneshot::channel();
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
-        let (mec, mut senders) = mec::serve(&context, gate.clone(), &domains);
+        let mec = mec::serve(&context, gate.clone(), &domains);
+        let (mec, mut senders, readiness) = (mec.router, mec.tasks, mec.readiness);
         let for_nodes = mec::on_node(mec.clone()).layer(middleware::from_fn(serve::attend));
-        let bandwidth = bandwidth::serve(&context, gate.clone());
         let (lifecycle, more) = applications::serve(&context, gate.clone());
         senders.extend(more);
         let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
@@ -333,6 +335,7 @@ impl Server {
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
             .merge(sign_in::pages(dashboard.clone()))
+            .layer(Extension(readiness))
             .layer(middleware::from_fn_with_state(gate, auth::check))
             .merge(sign_in::router(pages))
             .route(
@@ -344,7 +347,6 @@ impl Server {
             .with_state(context)
             .merge(mec)
             .merge(lifecycle)
-            .merge(bandwidth)
             .layer(middleware::from_fn(serve::attend));
         let thread = std::thread::Builder::new()
             .name("api".to_owned())

@@ -113,6 +113,12 @@ impl DomainView {
         self.plugins.contains(plugin)
     }
 
+    /// Whether a VNF belongs to the domain. `added` returns the nodes of a VNF that was added during the run: it is the domain's
+    /// while all its nodes are.
+    pub(crate) fn has_vnf(&self, vnf: &VnfId, added: impl Fn(&VnfId) -> Option<Vec<NodeId>>) -> bool {
+        self.vnfs.contains(vnf) || added(vnf).is_some_and(|nodes| nodes.iter().all(|node| self.owns(node)))
+    }
+
     /// Returns a(n) of one of the domain's VNFs, or the part on its nodes of another's.
     pub(crate) fn placement(&self, placement: &Placement) -> Option<Placement> {
         if self.vnfs.contains(&placement.vnf) {
@@ -267,7 +273,7 @@ impl DomainView {
     }
 
     /// Checks that an instruction is for the domain's nodes. Whether a robot may attach is decided by the radio unit's
-    /// domain. `added` returns the nodes of a VNF that was added during the run: it is the domain's while all its nodes are.
+    /// domain. `added` is as in [`Self::has_vnf`].
     pub(crate) fn check(
         &self,
         instruction: &Instruction,
@@ -281,9 +287,7 @@ impl DomainView {
             own.then_some(()).ok_or_else(|| not_own(format!("the link `{link}`")))
         };
         let own_vnf = |vnf: &VnfId| {
-            let is_added_here = || added(vnf).is_some_and(|nodes| nodes.iter().all(|node| self.owns(node)));
-            let own = self.vnfs.contains(vnf) || is_added_here();
-            own.then_some(()).ok_or_else(|| not_own(format!("the VNF `{vnf}`")))
+            self.has_vnf(vnf, &added).then_some(()).ok_or_else(|| not_own(format!("the VNF `{vnf}`")))
         };
         instruction.changes(|part| match part {
             Part::Node(node) => own_node(node),

@@ -3,9 +3,9 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
-    Decision, Direction, Event, Instruction, Lateness, LinkContext, LinkId, MachineContext, NodeId, Nodes,
-    Placement, RadioContext, RobotContext, SensorId, SensorReading, ServiceId, ServiceTime, Stamped,
-    Timestamp, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    Decision, Direction, Event, Instruction, Lateness, LinkContext, LinkId, MachineContext, MapReservation,
+    NodeId, Nodes, Placement, RadioContext, RobotContext, SensorId, SensorReading, ServiceId, ServiceTime,
+    Stamped, Timestamp, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use parking_lot::RwLock;
 use serde::Serialize;
@@ -36,6 +36,9 @@ pub struct Snapshot {
     pub wanted: BTreeMap<VnfId, Nodes>,
     /// a(n1,n2).
     pub virtual_links: Vec<VirtualLinkMapping>,
+    /// The links of mapped paths from one node to another, and the reservations of their own.
+    #[serde(skip)]
+    pub mapped: BTreeMap<[NodeId; 2], (Vec<LinkId>, Option<MapReservation>)>,
     /// The last event of every VNF's process.
     pub vnfs: BTreeMap<VnfId, VnfEvent>,
     /// The VNFs that were added during the run.
@@ -145,6 +148,13 @@ impl Live {
                     now.wanted.remove(&vnf);
                     now.placements.remove(&vnf);
                     now.vnfs.remove(&vnf);
+                }
+                Instruction::Map { from, to, links, reservation } => {
+                    if links.is_empty() {
+                        now.mapped.remove(&[from, to]);
+                    } else {
+                        now.mapped.insert([from, to], (links, reservation));
+                    }
                 }
                 _ => {}
             },

@@ -1,14 +1,13 @@
 //! Subscriptions to migrations of applications (ETSI GS MEC 021 v2.2.1, clauses 7.3.2 and 7.4.2).
 
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
     net::Ipv4Addr,
     sync::Arc,
 };
 
 use cotorra_graph::{NodeId, Nodes, VnfId};
-use cotorra_mec::{InvalidRequest, Notifying, Subscribed, TimeStamp};
+use cotorra_mec::{InvalidRequest, TimeStamp};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -18,11 +17,8 @@ use super::{
 };
 use crate::{
     applications::{Applications, Site},
-    links::{check_type, test},
+    subscription::{Subscription, Wanted},
 };
-
-/// Name of the type.
-const TYPE: &str = "MobilityProcedureSubscription";
 
 /// The standard's `mobilityStatus`.
 const TRIGGERED: u8 = 1;
@@ -30,13 +26,12 @@ const COMPLETED: u8 = 2;
 const FAILED: u8 = 3;
 
 /// A subscription to migrations.
+pub type MobilitySubscription = Subscription<Migrations>;
+
+/// Migrations of applications.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct MobilitySubscription {
-    subscription_type: String,
-    /// Target and end.
-    #[serde(flatten)]
-    notifying: Notifying,
+pub struct Migrations {
     filter_criteria: FilterCriteria,
 }
 
@@ -58,7 +53,7 @@ fn triggered() -> Vec<u8> {
     vec![TRIGGERED]
 }
 
-impl MobilitySubscription {
+impl Migrations {
     /// Returns the application that it is about; `None` for all.
     pub(super) fn application(&self) -> Option<&str> {
         self.filter_criteria.app_instance_id.as_deref()
@@ -121,12 +116,7 @@ impl Schedule {
     }
 
     /// Returns the wanted steps since the last call.
-    pub(super) fn poll(
-        &mut self,
-        of: &MobilitySubscription,
-        site: &Site,
-        now: BTreeMap<VnfId, Move>,
-    ) -> Vec<Moved> {
+    pub(super) fn poll(&mut self, of: &Migrations, site: &Site, now: BTreeMap<VnfId, Move>) -> Vec<Moved> {
         let before = std::mem::replace(&mut self.known, now);
         let step = |application: &VnfId, status: u8, node: &NodeId| Moved {
             application: application.clone(),
@@ -158,41 +148,17 @@ impl Schedule {
     }
 }
 
-impl Subscribed for MobilitySubscription {
+impl Wanted for Migrations {
     const SERVICE: &'static str = "application mobility";
-    const LISTS: &'static [&'static str] = &[SUBSCRIPTIONS];
+    const TYPE: &'static str = "MobilityProcedureSubscription";
+    const LIST: &'static str = SUBSCRIPTIONS;
     type Schedule = Schedule;
 
-    fn read(_: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
-        cotorra_mec::read(body)
-    }
-
-    fn type_name(&self) -> &'static str {
-        TYPE
-    }
-
-    fn list(&self) -> Cow<'static, str> {
-        SUBSCRIPTIONS.into()
-    }
-
-    fn notifying(&self) -> &Notifying {
-        &self.notifying
-    }
-
-    fn notifying_mut(&mut self) -> &mut Notifying {
-        &mut self.notifying
-    }
-
-    fn check(&self) -> Result<(), InvalidRequest> {
-        check_type(&self.subscription_type, TYPE)?;
+    fn check(&self, _: &str) -> Result<(), InvalidRequest> {
         if self.filter_criteria.mobility_status.iter().any(|status| !(TRIGGERED..=FAILED).contains(status)) {
             return InvalidRequest::malformed("mobilityStatus is 1, 2 or 3");
         }
         Ok(())
-    }
-
-    fn test(href: &str) -> Arc<str> {
-        test(href)
     }
 
     fn expiry(href: &str, at: TimeStamp) -> Option<Arc<str>> {

@@ -1,12 +1,11 @@
 //! Subscriptions to the availability of services (ETSI GS MEC 011 v3.1.1, clauses 8.1.3.2 and 8.1.4.2).
 
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
     sync::Arc,
 };
 
-use cotorra_mec::{InvalidRequest, Notifying, Subscribed};
+use cotorra_mec::{InvalidRequest, Subscribed as _};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -14,24 +13,20 @@ use super::{
     ServiceState,
     info::{CategoryRef, ServiceInfo},
 };
-use crate::links::{SUBSCRIPTIONS, application_of, base_of, check_type, subscriptions_of, test};
-
-/// Name of the type.
-const TYPE: &str = "SerAvailabilityNotificationSubscription";
+use crate::{
+    links::{SUBSCRIPTIONS, base_of},
+    subscription::{Subscription, Wanted},
+};
 
 /// A subscription of an application to the availability of services.
+pub type AvailabilitySubscription = Subscription<Availability>;
+
+/// The availability of services.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct AvailabilitySubscription {
-    subscription_type: String,
-    /// Target and end.
-    #[serde(flatten)]
-    notifying: Notifying,
+pub struct Availability {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     filtering_criteria: Option<FilteringCriteria>,
-    /// The subscriber.
-    #[serde(skip)]
-    pub(super) application: String,
 }
 
 /// The services and changes to notify. Empty lists match all.
@@ -121,7 +116,7 @@ impl Schedule {
         let before = std::mem::replace(&mut self.known, now.clone());
         let all: BTreeSet<_> = before.keys().chain(now.keys()).copied().collect();
         let everything = FilteringCriteria::default();
-        let criteria = of.filtering_criteria.as_ref().unwrap_or(&everything);
+        let criteria = of.wanted.filtering_criteria.as_ref().unwrap_or(&everything);
         let base = base_of(href, &of.list()).to_owned();
         let reference = |id: u64| {
             let (known, change) = match (before.get(&id), now.get(&id)) {
@@ -148,33 +143,13 @@ impl Schedule {
     }
 }
 
-impl Subscribed for AvailabilitySubscription {
+impl Wanted for Availability {
     const SERVICE: &'static str = "service registry";
-    const LISTS: &'static [&'static str] = &[SUBSCRIPTIONS];
+    const TYPE: &'static str = "SerAvailabilityNotificationSubscription";
+    const LIST: &'static str = SUBSCRIPTIONS;
     type Schedule = Schedule;
 
-    fn read(list: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
-        Ok(Self { application: application_of(list), ..cotorra_mec::read(body)? })
-    }
-
-    fn type_name(&self) -> &'static str {
-        TYPE
-    }
-
-    fn list(&self) -> Cow<'static, str> {
-        subscriptions_of(&self.application).into()
-    }
-
-    fn notifying(&self) -> &Notifying {
-        &self.notifying
-    }
-
-    fn notifying_mut(&mut self) -> &mut Notifying {
-        &mut self.notifying
-    }
-
-    fn check(&self) -> Result<(), InvalidRequest> {
-        check_type(&self.subscription_type, TYPE)?;
+    fn check(&self, _: &str) -> Result<(), InvalidRequest> {
         let Some(criteria) = &self.filtering_criteria else { return Ok(()) };
         let sets = [
             criteria.ser_instance_ids.is_empty(),
@@ -187,9 +162,5 @@ impl Subscribed for AvailabilitySubscription {
             );
         }
         Ok(())
-    }
-
-    fn test(href: &str) -> Arc<str> {
-        test(href)
     }
 }

@@ -1,31 +1,27 @@
 //! Subscriptions to the termination of an application (ETSI GS MEC 011 v3.1.1, clauses 7.1.3.2 and 7.1.4.2).
 
-use std::{borrow::Cow, sync::Arc};
+use std::sync::Arc;
 
-use cotorra_mec::{InvalidRequest, Notifying, Subscribed};
+use cotorra_mec::{InvalidRequest, Subscribed as _};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::links::{SUBSCRIPTIONS, application_of, base_of, check_type, subscriptions_of, test};
-
-/// Name of the type.
-const TYPE: &str = "AppTerminationNotificationSubscription";
+use crate::{
+    links::{SUBSCRIPTIONS, base_of},
+    subscription::{Subscription, Wanted},
+};
 
 /// Seconds from the notification until a VNF is killed: half a second, rounded up to the standard's integer.
 const GRACE: u32 = 1;
 
 /// A subscription of an application to its termination.
+pub type TerminationSubscription = Subscription<Termination>;
+
+/// The termination of the subscriber.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct TerminationSubscription {
-    subscription_type: String,
-    /// Target and end.
-    #[serde(flatten)]
-    notifying: Notifying,
+pub struct Termination {
     app_instance_id: String,
-    /// The subscriber.
-    #[serde(skip)]
-    pub(super) application: String,
 }
 
 /// Whether the termination was notified.
@@ -54,40 +50,16 @@ impl Schedule {
     }
 }
 
-impl Subscribed for TerminationSubscription {
+impl Wanted for Termination {
     const SERVICE: &'static str = "application support";
-    const LISTS: &'static [&'static str] = &[SUBSCRIPTIONS];
+    const TYPE: &'static str = "AppTerminationNotificationSubscription";
+    const LIST: &'static str = SUBSCRIPTIONS;
     type Schedule = Schedule;
 
-    fn read(list: &str, body: &[u8]) -> Result<Self, InvalidRequest> {
-        Ok(Self { application: application_of(list), ..cotorra_mec::read(body)? })
-    }
-
-    fn type_name(&self) -> &'static str {
-        TYPE
-    }
-
-    fn list(&self) -> Cow<'static, str> {
-        subscriptions_of(&self.application).into()
-    }
-
-    fn notifying(&self) -> &Notifying {
-        &self.notifying
-    }
-
-    fn notifying_mut(&mut self) -> &mut Notifying {
-        &mut self.notifying
-    }
-
-    fn check(&self) -> Result<(), InvalidRequest> {
-        check_type(&self.subscription_type, TYPE)?;
-        if self.app_instance_id != self.application {
+    fn check(&self, application: &str) -> Result<(), InvalidRequest> {
+        if self.app_instance_id != application {
             return InvalidRequest::malformed("appInstanceId must be that of the path");
         }
         Ok(())
-    }
-
-    fn test(href: &str) -> Arc<str> {
-        test(href)
     }
 }

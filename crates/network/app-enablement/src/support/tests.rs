@@ -31,18 +31,25 @@ fn confirm(
 #[test]
 fn readiness_is_confirmed_and_lost_with_the_application() {
     let (mut support, mut world) = rig();
-    let planner = VnfId::new("planner").unwrap();
+    let ready_since = |support: &Support| {
+        let mut all = support.readiness();
+        all.find(|(application, _)| **application == *"planner").map(|(_, since)| since)
+    };
     let ready = json!({ "indication": "READY" });
-    assert_eq!(support.ready_since(&planner), None);
+    assert_eq!(ready_since(&support), Some(None));
     confirm(&mut support, "planner", Confirmation::Ready, &ready).unwrap();
-    assert_eq!(support.ready_since(&planner), Some(Timestamp::from_secs_f64(3.0)));
+    assert_eq!(ready_since(&support), Some(Some(Timestamp::from_secs_f64(3.0))));
     let unknown = confirm(&mut support, "nobody", Confirmation::Ready, &ready);
     assert!(matches!(unknown, Err(RequestError::NotFound { .. })));
     let other = confirm(&mut support, "planner", Confirmation::Ready, &json!({ "indication": "BUSY" }));
     assert!(matches!(other, Err(RequestError::Invalid(_))));
     world.remove("planner");
     support.observe(world.survey());
-    assert_eq!(support.ready_since(&planner), None);
+    assert_eq!(ready_since(&support), None);
+    // One of the same name starts anew.
+    world.serve("planner", "edge");
+    support.observe(world.survey());
+    assert_eq!(ready_since(&support), Some(None));
 }
 
 #[test]
@@ -102,4 +109,26 @@ fn applications_are_registered_by_the_testbed_and_have_no_rules() {
     assert!(matches!(support.rules("nobody"), Err(RequestError::NotFound { .. })));
     let missing = support.rule("planner", Rules::Dns, "1").unwrap_err().to_string();
     assert_eq!(missing, "there is no DNS rule `1`");
+}
+
+#[test]
+fn the_last_applications_that_ended_are_remembered() {
+    let names: Vec<_> = (0..MOST + 40).map(|number| format!("v{number}")).collect();
+    let mut testbed = cotorra_graph_testing::applications(["home", "home"]);
+    let more = names.iter().map(|name| cotorra_graph_testing::vnf(name, "edge"));
+    testbed.services[0].vnfs.extend(more);
+    let mut world = World::of(&testbed);
+    let mut support = Support::new(Arc::clone(&world.site), EPOCH);
+    let terminating = json!({ "operationAction": "TERMINATING" });
+    for name in &names {
+        world.serve(name, "edge");
+        support.observe(world.survey());
+        world.remove(name);
+        support.observe(world.survey());
+    }
+    assert_eq!(support.ended.len(), MOST);
+    let confirm =
+        |support: &mut Support, name: &str| confirm(support, name, Confirmation::Termination, &terminating);
+    assert!(confirm(&mut support, names.last().unwrap()).is_ok());
+    assert!(matches!(confirm(&mut support, &names[0]), Err(RequestError::NotFound { .. })));
 }

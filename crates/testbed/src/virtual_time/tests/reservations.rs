@@ -1,6 +1,6 @@
 //! Links that keep the reservations of mappings.
 
-use cotorra_bandwidth::{Bandwidth, Change, Survey, types::BwInfo};
+use cotorra_bandwidth::{Bandwidth, Change, Consumer, Seen, Survey, types::BwInfo};
 
 use super::*;
 
@@ -78,6 +78,7 @@ fn an_allocation_of_bandwidth_shapes_the_traffic_of_its_session() {
         nodes: [("navigation".parse().unwrap(), vec![nodes[1].clone()])].into(),
         ..Survey::default()
     };
+    let seen = Seen { consumer: &Consumer::Operator, part: &testbed, survey: &survey };
     let info = |rate: &str| -> BwInfo {
         serde_json::from_value(serde_json::json!({
             "appInsId": "navigation", "requestType": 1, "fixedAllocation": rate, "allocationDirection": "01",
@@ -91,15 +92,15 @@ fn an_allocation_of_bandwidth_shapes_the_traffic_of_its_session() {
         }
     };
     let mut rates = vec![goodput(&mut simulation)];
-    let change = service.create(&survey, info("3000000")).unwrap();
+    let change = service.create(seen, info("3000000")).unwrap();
     give(&mut simulation, &change);
     let resource = service.commit("", change).unwrap();
     rates.push(goodput(&mut simulation));
-    let change = service.replace(&survey, "1", Some(&resource.etag), info("5000000")).unwrap();
+    let change = service.replace(seen, "1", Some(&resource.etag), info("5000000")).unwrap();
     give(&mut simulation, &change);
     service.commit("", change);
     rates.push(goodput(&mut simulation));
-    let change = service.remove("1", None).unwrap();
+    let change = service.remove(seen, "1", None).unwrap();
     give(&mut simulation, &change);
     rates.push(goodput(&mut simulation));
     println!("goodput without, with 3 and 5 Mbit/s, and without: {rates:.2?} Mbit/s");
