@@ -1495,8 +1495,8 @@ record! {
         optional: bool = false,
         /// Instructions that it may give in a second, also all at once. One that gives more is cut off.
         instructions_per_second: InstructionLimit = 1000,
-        /// Server or robot that it runs on, in virtual time: contexts and instructions cross the emulated network between
-        /// this node and that of `core`. Without one, it is beside the core.
+        /// Emulated server or robot on which it stands: contexts and instructions cross the emulated network between this
+        /// node and that of `core`. Without one, it is beside the core.
         node: Option<Spanned<NodeId>>,
         /// Time of each context to it, and of each instruction back, in place of a `node`.
         control_delay: Option<Spanned<Duration>>,

@@ -18,6 +18,7 @@ mod containers;
 mod coverage;
 mod dashboard;
 mod disk;
+mod distant_plugins;
 mod documents;
 mod edit;
 mod federation;

@@ -156,9 +156,13 @@ impl Builder<'_> {
                 None
             }
             (Some(node), None) => {
-                let is_host =
-                    |node: &NodeRecord| matches!(node, NodeRecord::Server(_) | NodeRecord::Robot(_));
-                let plugin = self.node_where(node, "server or robot", is_host);
+                // Packets of a real server, and of a robot with a real radio, leave from a machine of their own.
+                let is_emulated = |node: &NodeRecord| match node {
+                    NodeRecord::Server(server) => server.agent.is_none(),
+                    NodeRecord::Robot(robot) => robot.interface.is_none(),
+                    _ => false,
+                };
+                let plugin = self.node_where(node, "emulated server or robot", is_emulated);
                 let Some(core) = core else {
                     self.sink
                         .error(&node.span, "contexts come from the core, which has no node")

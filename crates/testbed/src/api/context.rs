@@ -16,7 +16,7 @@ use crate::{
     capture::Wiretap,
     clock::Clock,
     core::message::Message,
-    events::{live::Live, stream::EventStream},
+    events::{distant::DistantStream, live::Live, stream::EventStream},
     history::keeping::Keeper,
     report::{Fidelity, ServiceKpis},
 };
@@ -41,6 +41,8 @@ pub(crate) struct Context {
     pub(crate) hosted: Arc<BTreeSet<PluginId>>,
     /// Set in virtual time only.
     pub(crate) lockstep: Option<Lockstep>,
+    /// Streams of plug-ins that are programs and away from the core, in real time.
+    pub(crate) distant: Arc<BTreeMap<PluginId, DistantStream>>,
     /// Whether events come from a recording: the history then reaches beyond the present of the run.
     pub(crate) replay: bool,
     /// Whether the pace of time can be changed.

@@ -39,7 +39,8 @@ pub(super) struct Which {
 }
 
 /// Streams events as they happen. A reader that is more than 4096 events or 16 MiB behind loses the oldest, and slows no other. An
-/// event named `missed` has the number of lost events, of all kinds, as its data.
+/// event named `missed` has the number of lost events, of all kinds, as its data. A plug-in that the testbed started away from
+/// the core has events when they have arrived there.
 ///
 /// In virtual time, a plug-in that the testbed started, identified by its token, loses no events. Its stream has an event
 /// named `mark` at once, and then after the events of each moment. The mark's `id` is a number, and its data the time in
@@ -63,20 +64,26 @@ pub(super) async fn events(
         let plugins = context.lockstep.as_ref().map(|lockstep| &lockstep.plugins);
         plugins.is_some_and(|these| these.as_ref().is_none_or(|these| these.contains(plugin)))
     };
-    let stream: Pin<Box<dyn Stream<Item = _> + Send>> =
-        match plugin(&context, &caller, &headers)?.filter(is_waited_for) {
-            Some(plugin) => {
-                let (follower, messages) = Follower::new(plugin, filter);
-                context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
-                Box::pin(UnboundedReceiverStream::new(messages).map(|message| Ok(encode_message(&message))))
-            }
-            None => Box::pin(context.events.subscribe().filter_map(move |received| match received {
+    let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&context, &caller, &headers)? {
+        Some(plugin) if is_waited_for(&plugin) => {
+            let (follower, messages) = Follower::new(plugin, filter);
+            context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
+            Box::pin(UnboundedReceiverStream::new(messages).map(|message| Ok(encode_message(&message))))
+        }
+        plugin => {
+            let filter = Arc::new(filter);
+            let events = match plugin.and_then(|plugin| context.distant.get(&plugin)) {
+                Some(distant) => distant.subscribe(&filter),
+                None => context.events.subscribe(),
+            };
+            Box::pin(events.filter_map(move |received| match received {
                 Received::Event(event) => filter.apply(&event).map(|event| Ok(encode(&event))),
                 Received::Missed(missed) => {
                     Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
                 }
-            })),
-        };
+            }))
+        }
+    };
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 

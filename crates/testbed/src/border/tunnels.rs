@@ -6,7 +6,6 @@
 
 use std::{
     collections::HashMap,
-    io::{self, ErrorKind},
     net::{SocketAddr, SocketAddrV4, UdpSocket},
     sync::{
         Arc,
@@ -26,21 +25,16 @@ use super::message::{self, Message, State};
 use crate::{
     core::message::Message as CoreMessage,
     error::{RunError, system},
+    real::datagrams,
 };
 
 /// First UDP port of visitors in their nodes, and in the border's node; each visitor has its own.
 const FIRST_PORT: u16 = 7451;
-/// Interval at which threads check whether the run goes on.
-const CHECK: Duration = Duration::from_secs(1);
-/// Longest wait for room in a socket; a frame that finds none is lost.
-const ROOM: Duration = Duration::from_millis(1);
-/// Room for a datagram. A longer one is cut off, and does not open.
-const LARGEST: usize = 2048;
 /// Most datagrams a second of one tunnel. More are lost before they are opened.
 const MOST_DATAGRAMS: f64 = 10_000.0;
 /// Most states a second of one tunnel. Cores send ten.
 const MOST_STATES: f64 = 50.0;
-const _: () = assert!(message::LONGEST + Tunnel::OVERHEAD <= LARGEST);
+const _: () = assert!(message::LONGEST + Tunnel::OVERHEAD <= datagrams::LARGEST);
 
 /// The tunnels.
 #[derive(Clone)]
@@ -92,7 +86,7 @@ impl Tunnels {
         departures: Receiver<Departure>,
         core: &Sender<CoreMessage>,
     ) -> Result<Self, RunError> {
-        let socket = open_socket(|| UdpSocket::bind(border.address))
+        let socket = datagrams::open(|| UdpSocket::bind(border.address))
             .map_err(system(format!("listen for other cores at {}", border.address)))?;
         let tunnels = Self { socket: Arc::new(socket), open: Arc::default() };
         let mut ends = HashMap::new();
@@ -101,7 +95,7 @@ impl Tunnels {
                 let address = testbed.graph.ipv4(node).expect("a host has an address");
                 let address = SocketAddrV4::new(address, port);
                 let socket = datapath.namespace(node)?;
-                let socket = open_socket(|| socket.udp_socket(address))
+                let socket = datagrams::open(|| socket.udp_socket(address))
                     .map_err(system(format!("open a socket in `{node}` for visitors")))?;
                 Ok((Arc::new(socket), address))
             };
@@ -116,14 +110,14 @@ impl Tunnels {
                         carrier.send_frame(&visitor, direction, bytes);
                     }
                 };
-                spawn("visitor", socket, core.clone(), each)?;
+                datagrams::spawn("visitor".to_owned(), socket, core.clone(), each)?;
             }
             ends.insert(visitor.clone(), Ends { visitor: visiting, border: bordering, addresses: [at, by] });
         }
         let (tunnels_too, tell) = (tunnels.clone(), core.clone());
         let inside = Inside { handle: datapath.handle(), clock: datapath.clock(), ends };
         let each = move |bytes: &[u8], from: SocketAddr| tunnels_too.receive(bytes, from, &inside, &tell);
-        spawn("border", Arc::clone(&tunnels.socket), core.clone(), each)?;
+        datagrams::spawn("border".to_owned(), Arc::clone(&tunnels.socket), core.clone(), each)?;
         let sender = tunnels.clone();
         let depart = move || {
             cotorra_datapath::be_timely();
@@ -287,51 +281,9 @@ impl Ends {
     }
 }
 
-fn open_socket(bind: impl FnOnce() -> io::Result<UdpSocket>) -> io::Result<UdpSocket> {
-    let socket = bind()?;
-    socket.set_read_timeout(Some(CHECK))?;
-    socket.set_write_timeout(Some(ROOM))?;
-    Ok(socket)
-}
-
 /// Makes a share that is greater than all before, unless the calendar clock was set back.
 fn share() -> Share {
     let mut random = [0; 8];
     getrandom::fill(&mut random).expect("the system has random numbers");
     Share::new(Duration::from_micros(chrono::Utc::now().timestamp_micros().unsigned_abs()), random)
-}
-
-/// Starts a thread that handles each datagram of a socket until the run ends.
-fn spawn(
-    name: &str,
-    socket: Arc<UdpSocket>,
-    core: Sender<CoreMessage>,
-    mut each: impl FnMut(&[u8], SocketAddr) + Send + 'static,
-) -> Result<(), RunError> {
-    let receive = move || {
-        cotorra_datapath::be_timely();
-        let mut buffer = vec![0; LARGEST];
-        loop {
-            match socket.recv_from(&mut buffer) {
-                Ok((length, from)) => each(&buffer[..length], from),
-                Err(error) => match error.kind() {
-                    // The read timeout, by which the thread notices the end of the core.
-                    ErrorKind::WouldBlock | ErrorKind::TimedOut => {
-                        if core.send(CoreMessage::Wake).is_err() {
-                            return;
-                        }
-                    }
-                    // The other core, or the network to it, is not there (any more).
-                    ErrorKind::Interrupted
-                    | ErrorKind::ConnectionRefused
-                    | ErrorKind::HostUnreachable
-                    | ErrorKind::NetworkUnreachable
-                    | ErrorKind::NetworkDown => {}
-                    _ => return tracing::error!("nothing arrives from other cores any more: {error}"),
-                },
-            }
-        }
-    };
-    let spawned = thread::Builder::new().name(name.to_owned()).spawn(receive);
-    spawned.map(drop).map_err(system(format!("start the thread `{name}`")))
 }

@@ -10,7 +10,7 @@ use cotorra_plugin::Actions;
 use crate::{
     events::follower::Follower,
     given::Given,
-    plugins::host::Fault,
+    plugins::{Datagram as ControlDatagram, host::Fault},
     virtual_time::time_control::{TimeChange, TimeState},
 };
 
@@ -39,8 +39,17 @@ pub(crate) enum Message {
     Returned {
         plugin: PluginId,
         at: Timestamp,
+        /// Whether a plug-in that is away has handled a context.
+        handled: bool,
         /// The plug-in's actions, or its failure.
         outcome: Result<Actions, Fault>,
+    },
+    /// A datagram between the core and a plug-in has arrived at its node.
+    Control {
+        datagram: ControlDatagram,
+        at: Timestamp,
+        /// Held by each datagram of the node that waits, to bound their number.
+        _waiting: Arc<()>,
     },
     /// An event of the emulated network.
     Network(Stamped),

@@ -24,16 +24,6 @@ pub enum PluginError {
     /// The plug-in is a program. It needs the API, which only a whole run serves.
     #[error("plug-in `{0}` is a program: it takes part in a run, not in a bare simulation")]
     NeedsRun(PluginId),
-    /// The emulated network of real time carries no contexts.
-    #[error(
-        "plug-in `{0}` has a `node`, which only virtual time has: run with `--simulate`, or give it a `control_delay` in its place"
-    )]
-    RealNode(PluginId),
-    /// Programs follow the API without a delay in real time.
-    #[error(
-        "plug-in `{0}` is a program with a `control_delay`, which only virtual time has: run with `--simulate`, or leave it out"
-    )]
-    FarProgram(PluginId),
     /// The CPU time of a program, which its decisions take, is unknown.
     #[error("plug-in `{plugin}`: cannot measure its CPU time (`decides_in: cpu`): {source}")]
     CpuTime {

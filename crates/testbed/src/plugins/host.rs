@@ -16,7 +16,7 @@ use cotorra_graph::{
 use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
-use super::travel::{Datagram, Travel};
+use super::travel::{Datagram, INSTRUCTIONS, Sent, Travel};
 use crate::{
     events::follower::{Follower, PluginMessage},
     given::Given,
@@ -73,6 +73,8 @@ enum NotTriedError {
     TooManyBytes(f64),
     #[error("no more than {VNFS_AT_ONCE} VNFs at once, and {VNFS_PER_SECOND} a second, are added")]
     TooManyVnfs,
+    #[error("{INSTRUCTIONS} instructions of this plug-in are under way, and no more are taken")]
+    TooManyUnderWay,
     #[error("the most VNFs that this caller may have added at a time are {0}: remove one")]
     NoVnfLeft(usize),
 }
@@ -264,9 +266,14 @@ impl PluginHost {
         given: Given,
         controlled: &mut impl Controlled,
     ) -> Result<(), InstructionError> {
+        if self.travel.is_away(&given.plugin) {
+            // What is under way stays in memory.
+            measure(&given)?;
+        }
         match self.travel.send_instruction(now, given) {
-            Some(given) => self.apply(now, given, Vec::new(), controlled),
-            None => Ok(()),
+            Sent::Arrived(given) => self.apply(now, *given, Vec::new(), controlled),
+            Sent::UnderWay => Ok(()),
+            Sent::Rejected => Err(InstructionError(NotTriedError::TooManyUnderWay.to_string())),
         }
     }
 
@@ -285,7 +292,7 @@ impl PluginHost {
         staleness: Vec<Staleness>,
         controlled: &mut impl Controlled,
     ) -> Result<(), InstructionError> {
-        let Given { plugin, instruction, reason } = &given;
+        let Given { plugin, instruction, .. } = &given;
         if let Err(refusal) = self.admit(now, plugin) {
             let refused = InstructionError(refusal.to_string());
             if let NotTriedError::Fault(fault) = refusal {
@@ -293,13 +300,7 @@ impl PluginHost {
             }
             return Err(refused);
         }
-        let bytes = instruction.measure().map_err(|error| InstructionError(error.to_string()))?;
-        let of_reason = reason.as_ref().map_or(0, String::len);
-        if of_reason > Instruction::LONGEST_REASON {
-            let longest = Instruction::LONGEST_REASON;
-            return Err(InstructionError(format!("its reason has {of_reason} bytes, more than {longest}")));
-        }
-        self.admit_bytes(now, plugin, bytes + of_reason)
+        self.admit_bytes(now, plugin, measure(&given)?)
             .map_err(|error| InstructionError(error.to_string()))?;
         if matches!(instruction, Instruction::AddVnf { .. }) {
             self.admit_vnf(now, plugin).map_err(|error| InstructionError(error.to_string()))?;
@@ -441,8 +442,24 @@ impl PluginHost {
     }
 }
 
+/// Returns the bytes of texts and lists of an instruction and its reason, or rejects those that are beyond a bound.
+fn measure(Given { instruction, reason, .. }: &Given) -> Result<usize, InstructionError> {
+    let bytes = instruction.measure().map_err(|error| InstructionError(error.to_string()))?;
+    let of_reason = reason.as_ref().map_or(0, String::len);
+    if of_reason > Instruction::LONGEST_REASON {
+        let longest = Instruction::LONGEST_REASON;
+        return Err(InstructionError(format!("its reason has {of_reason} bytes, more than {longest}")));
+    }
+    Ok(bytes + of_reason)
+}
+
 /// What is on its way between the core and plug-ins that are away from it.
 impl PluginHost {
+    /// Whether a plug-in is away from the core.
+    pub(crate) fn is_away(&self, plugin: &PluginId) -> bool {
+        self.travel.is_away(plugin)
+    }
+
     /// Sends a context to a plug-in in process. Returns it if the plug-in is beside the core.
     pub(crate) fn send_context(
         &mut self,
@@ -463,6 +480,21 @@ impl PluginHost {
         self.travel.decide_in(plugin, used);
     }
 
+    /// Returns the next context that has arrived at a plug-in in process, in real time, if it has handled those before.
+    pub(crate) fn hand_over(&mut self, now: Timestamp, plugin: &PluginId) -> Option<Arc<Stamped>> {
+        self.travel.hand_over(now, plugin)
+    }
+
+    /// Notes that a plug-in has handled the context that was handed over.
+    pub(crate) fn handled(&mut self, plugin: &PluginId) {
+        self.travel.handled(plugin);
+    }
+
+    /// Returns the number of contexts that plug-ins missed because they were too far behind.
+    pub(crate) fn missed(&self) -> u64 {
+        self.travel.missed()
+    }
+
     /// Returns when a plug-in is free to decide.
     pub(crate) fn free_at(&self, plugin: &PluginId) -> Timestamp {
         self.travel.free_at(plugin)
@@ -474,8 +506,8 @@ impl PluginHost {
     }
 
     /// Handles a datagram that has arrived at its node.
-    pub(crate) fn receive(&mut self, now: Timestamp, payload: &[u8]) {
-        self.travel.receive(now, payload);
+    pub(crate) fn receive(&mut self, now: Timestamp, datagram: &Datagram) {
+        self.travel.receive(now, datagram);
     }
 
     /// Returns when something arrives or departs next. Times in the past are due now.

@@ -21,7 +21,7 @@ pub use error::PluginError;
 pub use panic::panic_text;
 pub use programs::inexact;
 pub(crate) use programs::{check_programs, programs};
-pub(crate) use travel::{Datagram, Travel};
+pub(crate) use travel::{CONTROL_PORT, Datagram, Travel};
 
 #[cfg(test)]
 mod tests;

@@ -24,13 +24,14 @@ use super::{
     lockstep::{Call, Occasion},
     process::Process,
     programs::check_programs,
-    travel::Travel,
+    travel::{Datagram, Travel},
 };
 use crate::{
     api::Server,
     clock::Clock,
     core::message::Message,
     domain::{self, DomainView, Domains},
+    events::distant::DistantStream,
     given::Given,
     history::{links::RunHistory, previous_run::PreviousRun},
 };
@@ -47,13 +48,16 @@ pub(crate) struct PreparedPlugins {
     bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
     ledgers: Ledgers,
     history: RunHistory,
+    distant: Arc<DistantPrograms>,
 }
+
+/// The streams of programs that are away from the core.
+pub(crate) type DistantPrograms = BTreeMap<PluginId, DistantStream>;
 
 impl PreparedPlugins {
     /// Makes the bundled plug-ins, and checks that the programs of the others exist.
     pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
         check_programs(testbed)?;
-        check_distances(testbed)?;
         let history = RunHistory::default();
         let mut maker = Bundled::new(testbed, seed, Ledgers::default()).reading(Some(history.clone()));
         let mut bundled = BTreeMap::new();
@@ -62,7 +66,13 @@ impl PreparedPlugins {
                 bundled.insert(spec.id.clone(), maker.make(spec, name)?);
             }
         }
-        Ok(Self { bundled, ledgers: maker.into_ledgers(), history })
+        let ledgers = maker.into_ledgers();
+        Ok(Self { bundled, ledgers, history, distant: Arc::new(distant_programs(testbed)) })
+    }
+
+    /// Returns the streams of programs that are away from the core, for the API.
+    pub(crate) fn distant(&self) -> Arc<DistantPrograms> {
+        Arc::clone(&self.distant)
     }
 
     /// Returns the history that they read, which has to begin before they start.
@@ -97,7 +107,8 @@ impl PreparedPlugins {
             match &spec.program {
                 PluginProgram::Command(words) => {
                     let process = Process::start(spec, words, &testbed.folder, api, logs)?;
-                    plugins.places.insert(spec.id.clone(), Place::Process(process));
+                    let distant = self.distant.get(&spec.id).cloned();
+                    plugins.places.insert(spec.id.clone(), Place::Process { process, distant });
                 }
                 PluginProgram::Bundled(_) => {
                     let plugin = self.bundled.remove(&spec.id).expect("every bundled plug-in was made");
@@ -110,18 +121,12 @@ impl PreparedPlugins {
     }
 }
 
-/// Checks that real time has the distances of plug-ins.
-fn check_distances(testbed: &Testbed) -> Result<(), PluginError> {
-    for PluginSpec { id, program, distance, .. } in &testbed.plugins {
-        match (&distance.way, program) {
-            (Way::Nodes { .. }, _) => return Err(PluginError::RealNode(id.clone())),
-            (Way::Delay { .. }, PluginProgram::Command(_)) => {
-                return Err(PluginError::FarProgram(id.clone()));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
+/// Returns a stream for each program that is away from the core.
+fn distant_programs(testbed: &Testbed) -> DistantPrograms {
+    let is_far = |spec: &&PluginSpec| {
+        matches!(spec.program, PluginProgram::Command(_)) && spec.distance.way != Way::None
+    };
+    testbed.plugins.iter().filter(is_far).map(|spec| (spec.id.clone(), DistantStream::default())).collect()
 }
 
 /// The thread or process of a plug-in.
@@ -135,7 +140,11 @@ enum Place {
         /// Set when the plug-in is cut off. Its instructions are dropped from then on.
         cut: Arc<AtomicBool>,
     },
-    Process(Process),
+    Process {
+        process: Process,
+        /// Its stream of events, if it is away from the core.
+        distant: Option<DistantStream>,
+    },
 }
 
 /// The plug-ins of a run in real time. Threads end when their channel closes; a hung one ends with the process.
@@ -170,6 +179,7 @@ impl RunningPlugins {
             id: id.clone(),
             now: Arc::clone(now),
             busy_since: Arc::clone(&busy_since),
+            is_away: self.host.is_away(&id),
             cut: Arc::clone(&cut),
             messages,
         };
@@ -181,14 +191,22 @@ impl RunningPlugins {
         self.places.insert(id, Place::Thread { view, events, busy_since, cut });
     }
 
-    /// Passes an event on to the plug-ins in process, or sends it to those that are away. Programs follow the API's stream.
+    /// Passes an event on to the plug-ins in process, or sends it to plug-ins that are away. Programs beside the core follow the
+    /// API's stream.
     pub(crate) fn publish(&mut self, now: Timestamp, event: &Arc<Stamped>) {
         for (id, place) in &self.places {
-            if let Place::Thread { view, events, .. } = place
-                && let Some(seen) = domain::seen(view.as_deref(), event)
-                && let Some(seen) = self.host.send_context(now, id, seen)
-            {
-                self.missed += u64::from(events.try_send(seen).is_err());
+            match place {
+                Place::Thread { view, events, .. } => {
+                    if let Some(seen) = domain::seen(view.as_deref(), event)
+                        && let Some(seen) = self.host.send_context(now, id, seen)
+                    {
+                        self.missed += u64::from(events.try_send(seen).is_err());
+                    }
+                }
+                Place::Process { distant: Some(stream), .. } if stream.wants(event) => {
+                    self.host.send_context(now, id, Arc::clone(event));
+                }
+                Place::Process { .. } => {}
             }
         }
     }
@@ -196,13 +214,38 @@ impl RunningPlugins {
     /// Passes contexts on that have arrived at plug-ins, and applies instructions that have arrived at the core.
     pub(crate) fn travel(&mut self, now: Timestamp, core: &mut impl Controlled) {
         for (id, place) in &self.places {
-            let Place::Thread { events, .. } = place else { continue };
-            while let Some(event) = self.host.next_context(now, id) {
-                self.missed += u64::from(events.try_send(event).is_err());
+            match place {
+                Place::Thread { events, .. } => {
+                    if let Some(event) = self.host.hand_over(now, id) {
+                        // It has handled the one before: there is room, unless it has just ended.
+                        let _ = events.try_send(event);
+                    }
+                }
+                Place::Process { distant: Some(stream), .. } => {
+                    while let Some(event) = self.host.next_context(now, id) {
+                        stream.arrive(event);
+                    }
+                }
+                Place::Process { distant: None, .. } => {}
             }
         }
         self.host.apply_arrived(now, core);
         self.end_cut_off();
+    }
+
+    /// Returns the next datagram between the core and a plug-in on a node.
+    pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
+        self.host.poll_transmit(now)
+    }
+
+    /// Handles a datagram that arrived at its node at `at`.
+    pub(crate) fn receive(&mut self, at: Timestamp, datagram: &Datagram) {
+        self.host.receive(at, datagram);
+    }
+
+    /// Notes that a plug-in in process has handled a context.
+    pub(crate) fn handled(&mut self, plugin: &PluginId) {
+        self.host.handled(plugin);
     }
 
     /// Returns when something arrives next.
@@ -210,9 +253,9 @@ impl RunningPlugins {
         self.host.next_travel()
     }
 
-    /// Returns the number of events that plug-ins in process missed because they were too far behind.
+    /// Returns the number of events that plug-ins missed because they were too far behind, without readers of the API's stream.
     pub(crate) fn missed(&self) -> u64 {
-        self.missed
+        self.missed + self.host.missed()
     }
 
     /// Applies an instruction, if it is admitted.
@@ -249,7 +292,7 @@ impl RunningPlugins {
                     let hung = since != IDLE && now.since(Timestamp::from_nanos(since)) > patience;
                     hung.then_some(Fault::Hung(patience))
                 }
-                Place::Process(process) => process.fault(),
+                Place::Process { process, .. } => process.fault(),
             };
             if let Some(fault) = fault {
                 self.host.cut_off(now, id, &fault, core);
@@ -272,6 +315,8 @@ struct Guard {
     id: PluginId,
     now: Clock,
     busy_since: Arc<AtomicU64>,
+    /// Whether the core waits for the end of each call with a context.
+    is_away: bool,
     cut: Arc<AtomicBool>,
     messages: mpsc::Sender<Message>,
 }
@@ -299,6 +344,7 @@ impl Guard {
         occasion: Occasion,
     ) -> Option<(Box<dyn Plugin>, Option<Timestamp>)> {
         let now = (self.now)();
+        let handled = self.is_away && matches!(occasion, Occasion::Event(_));
         self.busy_since.store(now.as_nanos(), Ordering::Release);
         let called = Call { plugin, now, occasion }.make();
         self.busy_since.store(IDLE, Ordering::Release);
@@ -308,7 +354,7 @@ impl Guard {
         let (going, outcome) = match called {
             Ok(answer) => {
                 let going = Some((answer.plugin, answer.next_deadline));
-                if answer.actions.is_empty() {
+                if answer.actions.is_empty() && !handled {
                     return going;
                 }
                 (going, Ok(answer.actions))
@@ -316,154 +362,10 @@ impl Guard {
             Err(fault) => (None, Err(fault)),
         };
         let (id, at) = (self.id.clone(), (self.now)());
-        self.messages.send(Message::Returned { plugin: id, at, outcome }).ok()?;
+        self.messages.send(Message::Returned { plugin: id, at, handled, outcome }).ok()?;
         going
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use cotorra_graph::{DecidesIn, Event, Instruction, NodeId, PluginDistance};
-    use cotorra_graph_testing as base;
-
-    struct Scripted(fn(&mut Actions));
-
-    impl Plugin for Scripted {
-        fn handle(&mut self, _now: Timestamp, _event: &Event, actions: &mut Actions) {
-            (self.0)(actions);
-        }
-    }
-
-    /// Records faults, and counts instructions.
-    #[derive(Default)]
-    struct Faults(Vec<(PluginId, String)>, usize);
-
-    impl Controlled for Faults {
-        fn instruct(&mut self, _now: Timestamp, _given: Given) -> Result<(), InstructionError> {
-            self.1 += 1;
-            Ok(())
-        }
-
-        fn cut_off(&mut self, _now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
-            self.0.push((plugin, fault.to_string()));
-        }
-
-        fn publish(&mut self, _event: Stamped) {}
-    }
-
-    fn testbed() -> Arc<Testbed> {
-        Arc::new(base::testbed(base::graph(Vec::new(), Vec::new())))
-    }
-
-    fn id() -> PluginId {
-        "scripted".parse().unwrap()
-    }
-
-    /// Starts one plug-in in process. Returns its messages, too.
-    fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
-        running_at(script, Way::None)
-    }
-
-    fn spec(program: PluginProgram, way: Way) -> PluginSpec {
-        PluginSpec {
-            id: id(),
-            program,
-            domain: None,
-            optional: false,
-            instructions_per_second: Default::default(),
-            distance: PluginDistance { way, decides_in: DecidesIn::fixed(Duration::from_secs(9)) },
-            env: Vec::new(),
-            settings: Default::default(),
-        }
-    }
-
-    fn running_at(script: fn(&mut Actions), way: Way) -> (RunningPlugins, mpsc::Receiver<Message>) {
-        let travel = Travel::in_real_time(&[spec(PluginProgram::Bundled("pace".to_owned()), way)]);
-        let host = PluginHost::new([id()], LONGEST_CALL).with_travel(travel);
-        let mut plugins = RunningPlugins::new(host, Ledgers::default());
-        let (messages, said) = mpsc::channel();
-        let now: Clock = Arc::new(|| Timestamp::from_secs_f64(1.0));
-        plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, messages);
-        let event = Event::Notice { message: String::new() };
-        plugins.publish(Timestamp::ZERO, &Arc::new(Stamped { at: Timestamp::ZERO, event }));
-        (plugins, said)
-    }
-
-    #[test]
-    fn an_instruction_arrives_with_its_reason() {
-        let (_plugins, said) = running(|actions| {
-            actions.instruct_because(Instruction::Scan { robot: "robot".parse().unwrap() }, "time to look");
-        });
-        let Message::Returned { plugin, outcome, .. } = said.recv().unwrap() else { panic!("no call") };
-        let reason = outcome.unwrap().drain().next().unwrap().1;
-        assert_eq!((plugin, reason.as_deref()), (id(), Some("time to look")));
-    }
-
-    #[test]
-    fn contexts_and_instructions_take_their_delay_in_real_time() {
-        let way = Way::Delay { control_delay: Duration::from_millis(100) };
-        let scan =
-            |actions: &mut Actions| actions.instruct(Instruction::Scan { robot: "r".parse().unwrap() });
-        let (mut plugins, said) = running_at(scan, way);
-        let (at, mut core) = (Timestamp::from_secs_f64, Faults::default());
-        assert_eq!(plugins.next_travel(), Some(at(0.1)));
-        plugins.travel(at(0.1), &mut core);
-        assert_eq!(plugins.next_travel(), None);
-        let Message::Returned { plugin, outcome, .. } = said.recv().unwrap() else { panic!("no call") };
-        plugins.returned(at(0.2), &plugin, outcome, &mut core);
-        plugins.travel(at(0.29), &mut core);
-        assert_eq!((core.1, plugins.next_travel()), (0, Some(at(0.3))), "the plug-in's own time counts");
-        plugins.travel(at(0.3), &mut core);
-        assert_eq!((core.1, plugins.next_travel()), (1, None));
-    }
-
-    #[test]
-    fn distances_that_only_virtual_time_has_are_rejected() {
-        let nodes = Way::Nodes { core: "edge".parse().unwrap(), plugin: "cloud".parse().unwrap() };
-        let delay = Way::Delay { control_delay: Duration::from_millis(1) };
-        let bundled = || PluginProgram::Bundled("pace".to_owned());
-        let program = || PluginProgram::Command(vec!["true".to_owned()]);
-        let check = |program, way| {
-            check_distances(&Testbed { plugins: vec![spec(program, way)], ..Testbed::clone(&testbed()) })
-        };
-        assert!(matches!(check(bundled(), nodes), Err(PluginError::RealNode(_))));
-        assert!(matches!(check(program(), delay.clone()), Err(PluginError::FarProgram(_))));
-        assert!(check(bundled(), delay).is_ok() && check(program(), Way::None).is_ok());
-    }
-
-    #[test]
-    fn a_panic_is_reported_and_ends_only_the_plugin() {
-        let (_plugins, said) = running(|_| panic!("by design"));
-        let Message::Returned { outcome, .. } = said.recv().unwrap() else { panic!("no report") };
-        assert_eq!(outcome.unwrap_err().to_string(), "panicked: by design");
-        assert!(said.recv().is_err(), "the plug-in's thread ended");
-    }
-
-    #[test]
-    fn a_plugin_that_does_not_return_is_cut_off() {
-        // The plug-in hangs only later: the call that starts it makes it busy, too, and has to return.
-        static HANGS: AtomicBool = AtomicBool::new(false);
-        let (mut plugins, _said) = running(|_| {
-            HANGS.store(true, Ordering::Release);
-            loop {
-                thread::park();
-            }
-        });
-        while !HANGS.load(Ordering::Acquire) {
-            thread::yield_now();
-        }
-        let mut told = Faults::default();
-        plugins.check(Timestamp::from_secs_f64(2.9), &mut told);
-        assert!(told.0.is_empty());
-        plugins.check(Timestamp::from_secs_f64(3.1), &mut told);
-        assert!(
-            matches!(&told.0[..], [(who, why)] if *who == id() && why.contains("within 2 s")),
-            "{:?}",
-            told.0
-        );
-        let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
-        let refused = plugins.instruct(Timestamp::from_secs_f64(3.2), Given::new(id(), scan), &mut told);
-        assert_eq!(refused, Err(InstructionError("this plug-in was cut off".to_owned())));
-    }
-}
+mod tests;

@@ -166,6 +166,7 @@ impl Misdeed {
             fanout,
             inbox,
             sockets,
+            control: Default::default(),
             images: None,
             now,
             until,

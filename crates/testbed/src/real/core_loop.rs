@@ -21,6 +21,7 @@ use crate::{
     events::fanout::Fanout,
     history::bound::HistoryBound,
     plugins::running::RunningPlugins,
+    real::control_sockets::ControlSockets,
     report::{End, Report},
 };
 
@@ -35,6 +36,8 @@ pub(crate) struct CoreLoop<N, E> {
     pub(crate) fanout: Fanout,
     pub(crate) inbox: mpsc::Receiver<Message>,
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
+    /// Sockets between the core and plug-ins on nodes.
+    pub(crate) control: ControlSockets,
     /// Sender of images, if a camera's images go to a VNF.
     pub(crate) images: Option<ImageSender>,
     pub(crate) now: Clock,
@@ -78,6 +81,9 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
             self.plugins.travel(now, &mut self.core);
             self.publish();
+            while let Some(datagram) = self.plugins.poll_transmit((self.now)()) {
+                self.control.send(&datagram);
+            }
             let others = self.until.into_iter().chain(self.plugins.next_travel());
             let deadline = others.fold(self.core.next_deadline().min(next_check), Timestamp::min);
             match self.inbox.recv_timeout(deadline.since((self.now)())) {
@@ -154,9 +160,13 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                     reply(done);
                 }
             }
-            Message::Returned { plugin, at, outcome } => {
+            Message::Returned { plugin, at, handled, outcome } => {
+                if handled {
+                    self.plugins.handled(&plugin);
+                }
                 self.plugins.returned(at, &plugin, outcome, &mut self.core);
             }
+            Message::Control { datagram, at, _waiting } => self.plugins.receive(at, &datagram),
             Message::Network(event) => self.core.observe(event),
             Message::Machine { context, .. } => self.core.observe(context),
             Message::Border(tunnel) => self.core.hear(now, tunnel),

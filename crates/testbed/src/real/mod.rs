@@ -3,8 +3,10 @@
 
 pub(crate) mod agents;
 pub(crate) mod confined;
+pub(crate) mod control_sockets;
 pub(crate) mod core_loop;
 pub(crate) mod cpus;
+pub(crate) mod datagrams;
 pub(crate) mod leftovers;
 pub(crate) mod links;
 pub(crate) mod network;

@@ -260,6 +260,7 @@ impl Replay {
             core,
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
+            distant: Arc::default(),
             replay: true,
             paced: options.speed.is_some(),
             // A run that was killed has none.

@@ -52,7 +52,7 @@ use crate::{
     given::Given,
     history::{links::RunHistory, previous_run::PreviousRun},
     plugins::{
-        Bundled, Datagram, PluginError, Travel,
+        Bundled, CONTROL_PORT, Datagram, PluginError, Travel,
         host::{Fault, PluginHost},
         lockstep::{Call, Locals, Lockstep, PATIENCE, Returned},
         programs,
@@ -65,8 +65,6 @@ use crate::{
 const ROBOT_PORT: u16 = 40_000;
 /// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
-/// Both ports of contexts and instructions of plug-ins that are on nodes.
-const CONTROL_PORT: u16 = 40_002;
 
 /// Returns the testbed as it is in virtual time: all servers are emulated, and robots at agents simulated.
 fn emulated(mut testbed: Arc<Testbed>) -> Arc<Testbed> {
@@ -534,7 +532,13 @@ impl Simulation {
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
         let Some(datagram) = udp::receive(frame, port) else { return };
         if datagram.to == CONTROL_PORT {
-            return self.host.receive(now, datagram.payload);
+            let sender = self.port_at(*datagram.from.ip());
+            let from = sender.and_then(|sender| self.network.fabric().host(sender).cloned());
+            if let Some(from) = from.filter(|_| datagram.from.port() == CONTROL_PORT) {
+                let payload = datagram.payload.to_vec();
+                self.host.receive(now, &Datagram { from, to: host, payload });
+            }
+            return;
         }
         if datagram.to == ROBOT_PORT {
             if self.interference.is_silent(&host) {

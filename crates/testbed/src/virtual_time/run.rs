@@ -188,6 +188,7 @@ pub(super) fn simulate_with(
             namespaces: Arc::new(BTreeMap::new()),
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
+            distant: Arc::default(),
             replay: false,
             paced: true,
             verdict: None,

@@ -2,7 +2,8 @@
 //!
 //! A message is JSON, in as many datagrams as it needs. A context is sent once: if a datagram of it is lost, the plug-in
 //! never gets it. Instructions arrive once and in order: each is acknowledged, and sent again until it is. Datagrams have the
-//! bytes that they would have between two programs. What they stand for stays here until they arrive.
+//! bytes that they would have between two programs. What they stand for stays here until they arrive. One from elsewhere than
+//! the other end changes nothing.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -140,9 +141,22 @@ impl<I> Datagrams<I> {
         Some(Datagram { from: from.clone(), to: to.clone(), payload: piece.payload(number) })
     }
 
+    /// Returns the number of instructions that have not arrived, or are not acknowledged.
+    pub(super) fn instructions_under_way(&self) -> usize {
+        self.instructions.len().max(self.unacknowledged.len())
+    }
+
     /// Handles a datagram that has arrived.
-    pub(super) fn receive(&mut self, payload: &[u8]) -> Heard<I> {
-        match Piece::parse(payload) {
+    pub(super) fn receive(&mut self, Datagram { from, to, payload }: &Datagram) -> Heard<I> {
+        let piece = Piece::parse(payload);
+        let (sender, receiver) = match piece {
+            Some((What::Instruction, ..)) => (&self.plugin, &self.core),
+            _ => (&self.core, &self.plugin),
+        };
+        if (from, to) != (sender, receiver) {
+            return Heard::Nothing;
+        }
+        match piece {
             Some((What::Context, message, piece)) => {
                 let is_whole = self.contexts.get_mut(&message).is_some_and(|context| context.takes(piece));
                 let context = if is_whole { self.contexts.remove(&message) } else { None };

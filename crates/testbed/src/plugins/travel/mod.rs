@@ -23,13 +23,30 @@ use self::{
 };
 use crate::given::Given;
 
+/// Both ports of datagrams between the core and plug-ins on nodes.
+pub(crate) const CONTROL_PORT: u16 = 40_002;
+
 /// Contexts that wait for a plug-in. One that is further behind misses the oldest.
 const QUEUE: usize = 4096;
+/// Instructions of a plug-in under way. Further ones are rejected.
+pub(crate) const INSTRUCTIONS: usize = 4096;
 
 /// The plug-ins that are away from the core, or take time to decide.
 #[derive(Default)]
 pub(crate) struct Travel {
     away: BTreeMap<PluginId, Away>,
+    /// Number of contexts that plug-ins missed because they were too far behind.
+    missed: u64,
+}
+
+/// The fate of an instruction that a plug-in gives.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Sent {
+    /// The plug-in is beside the core: the instruction is there.
+    Arrived(Box<Given>),
+    UnderWay,
+    /// Too many are under way.
+    Rejected,
 }
 
 /// An instruction, and the contexts on which it was decided.
@@ -49,6 +66,8 @@ struct Away {
     free_at: Timestamp,
     /// Contexts with their times of arrival, in order.
     contexts: VecDeque<(Timestamp, Arc<Stamped>)>,
+    /// The context that it handles now, in process in real time.
+    in_hand: Option<Arc<Stamped>>,
     known: Known,
     /// Instructions with the end of their decision, in order.
     decided: VecDeque<(Timestamp, Decided)>,
@@ -64,14 +83,15 @@ enum Carrier {
 impl Travel {
     /// Creates the state of plug-ins in virtual time.
     pub(crate) fn in_virtual_time(plugins: &[PluginSpec]) -> Self {
-        Self { away: plugins.iter().filter(|spec| !spec.distance.is_none()).map(Away::of).collect() }
+        let away = plugins.iter().filter(|spec| !spec.distance.is_none()).map(Away::of).collect();
+        Self { away, missed: 0 }
     }
 
     /// Creates the state of plug-ins in real time, where decisions take the time that plug-ins take.
     pub(crate) fn in_real_time(plugins: &[PluginSpec]) -> Self {
         let far = plugins.iter().filter(|spec| spec.distance.way != Way::None).map(Away::of);
         let at_once = |(id, away)| (id, Away { decides_in: Duration::ZERO, measured: None, ..away });
-        Self { away: far.map(at_once).collect() }
+        Self { away: far.map(at_once).collect(), missed: 0 }
     }
 
     /// Whether a plug-in is away.
@@ -96,13 +116,38 @@ impl Travel {
 
     /// Returns the next context that has arrived at a plug-in that is free. The plug-in knows it from now on.
     pub(crate) fn next_context(&mut self, now: Timestamp, plugin: &PluginId) -> Option<Arc<Stamped>> {
-        self.away.get_mut(plugin)?.next_context(now)
+        let away = self.away.get_mut(plugin)?;
+        let event = away.next_context(now, &mut self.missed)?;
+        away.known.add(&event);
+        Some(event)
+    }
+
+    /// Returns the next context that has arrived at a plug-in in process, in real time. It gets no other, and does not know this
+    /// one, until it has [handled](Self::handled) it.
+    pub(crate) fn hand_over(&mut self, now: Timestamp, plugin: &PluginId) -> Option<Arc<Stamped>> {
+        let away = self.away.get_mut(plugin)?;
+        let event = away.next_context(now, &mut self.missed)?;
+        away.in_hand = Some(Arc::clone(&event));
+        Some(event)
+    }
+
+    /// Notes that a plug-in has handled the context that was handed over, before instructions that it gave because of it.
+    pub(crate) fn handled(&mut self, plugin: &PluginId) {
+        let Some(away) = self.away.get_mut(plugin) else { return };
+        if let Some(event) = away.in_hand.take() {
+            away.known.add(&event);
+        }
     }
 
     /// Returns the next context that has arrived at a program that is free.
     pub(crate) fn next_context_of_programs(&mut self, now: Timestamp) -> Option<(PluginId, Arc<Stamped>)> {
-        let mut programs = self.away.iter_mut().filter(|(_, away)| away.is_program);
-        programs.find_map(|(id, away)| Some((id.clone(), away.next_context(now)?)))
+        let Self { away, missed } = self;
+        let mut programs = away.iter_mut().filter(|(_, away)| away.is_program);
+        programs.find_map(|(id, away)| {
+            let event = away.next_context(now, missed)?;
+            away.known.add(&event);
+            Some((id.clone(), event))
+        })
     }
 
     /// Sets the CPU time that a program has used for the decision that it makes now, if that is measured.
@@ -114,9 +159,17 @@ impl Travel {
         }
     }
 
-    /// Sends an instruction of a plug-in to the core, after the time of its decision. Returns it if the plug-in is not away.
-    pub(crate) fn send_instruction(&mut self, now: Timestamp, given: Given) -> Option<Given> {
-        let Some(away) = self.away.get_mut(&given.plugin) else { return Some(given) };
+    /// Returns the number of contexts that plug-ins missed because they were too far behind.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// Sends an instruction of a plug-in to the core, after the time of its decision.
+    pub(crate) fn send_instruction(&mut self, now: Timestamp, given: Given) -> Sent {
+        let Some(away) = self.away.get_mut(&given.plugin) else { return Sent::Arrived(given.into()) };
+        if away.instructions_under_way() >= INSTRUCTIONS {
+            return Sent::Rejected;
+        }
         let departs = now + away.decides_in;
         away.free_at = away.free_at.max(departs);
         let decided = Decided { given, ages: away.known.ages() };
@@ -124,7 +177,7 @@ impl Travel {
             Carrier::Delay(delay) => away.instructions.push_back((departs + *delay, decided)),
             Carrier::Network(_) => away.decided.push_back((departs, decided)),
         }
-        None
+        Sent::UnderWay
     }
 
     /// Returns the next instruction that has arrived at the core, and how old the contexts are that it was decided on.
@@ -154,11 +207,11 @@ impl Travel {
     }
 
     /// Handles a datagram that has arrived at its node.
-    pub(crate) fn receive(&mut self, now: Timestamp, payload: &[u8]) {
-        let number = datagrams::number(payload).map(usize::from);
+    pub(crate) fn receive(&mut self, now: Timestamp, datagram: &Datagram) {
+        let number = datagrams::number(&datagram.payload).map(usize::from);
         let Some(away) = number.and_then(|number| self.away.values_mut().nth(number)) else { return };
         let Carrier::Network(datagrams) = &mut away.way else { return };
-        match datagrams.receive(payload) {
+        match datagrams.receive(datagram) {
             Heard::Context(event) => away.contexts.push_back((now, event)),
             Heard::Instructions(several) => {
                 away.instructions.extend(several.into_iter().map(|decided| (now, decided)));
@@ -211,25 +264,33 @@ impl Away {
             measured: None,
             free_at: Timestamp::ZERO,
             contexts: VecDeque::new(),
+            in_hand: None,
             known: Known::default(),
             decided: VecDeque::new(),
             instructions: VecDeque::new(),
         }
     }
 
-    fn next_context(&mut self, now: Timestamp) -> Option<Arc<Stamped>> {
+    fn next_context(&mut self, now: Timestamp, missed: &mut u64) -> Option<Arc<Stamped>> {
         let waiting = self.contexts.partition_point(|(at, _)| *at <= now);
-        self.contexts.drain(..waiting.saturating_sub(QUEUE));
-        if self.free_at > now {
+        *missed += self.contexts.drain(..waiting.saturating_sub(QUEUE)).count() as u64;
+        if self.free_at > now || self.in_hand.is_some() {
             return None;
         }
-        let event = pop_due(&mut self.contexts, now)?;
-        self.known.add(&event);
-        Some(event)
+        pop_due(&mut self.contexts, now)
     }
 
     fn next_arrival(&self) -> Option<Timestamp> {
-        self.contexts.front().map(|(at, _)| (*at).max(self.free_at))
+        let next = self.contexts.front().filter(|_| self.in_hand.is_none());
+        next.map(|(at, _)| (*at).max(self.free_at))
+    }
+
+    fn instructions_under_way(&self) -> usize {
+        let carried = match &self.way {
+            Carrier::Delay(_) => 0,
+            Carrier::Network(datagrams) => datagrams.instructions_under_way(),
+        };
+        self.decided.len() + self.instructions.len() + carried
     }
 
     fn next_deadline(&self) -> Option<Timestamp> {

@@ -50,7 +50,7 @@ fn contexts_and_instructions_take_the_delay_and_the_decision_its_time() {
     assert_eq!(travel.next_deadline(), Some(at(100)));
     assert!(travel.next_context(at(99), &id()).is_none());
     assert!(travel.next_context(at(100), &id()).is_some());
-    assert_eq!(travel.send_instruction(at(100), scan("r")), None);
+    assert_eq!(travel.send_instruction(at(100), scan("r")), Sent::UnderWay);
     assert_eq!(travel.next_deadline(), Some(at(230)));
     assert!(travel.next_instruction(at(229)).is_none());
     let (given, staleness) = travel.next_instruction(at(230)).unwrap();
@@ -80,7 +80,7 @@ fn a_measured_decision_takes_its_cpu_time_times_the_factor() {
     let mut travel = Travel::in_virtual_time(std::slice::from_ref(&spec));
     for (begins, used, ends) in [(0, 40, 100), (200, 4, 210)] {
         travel.decide_in(&id(), Duration::from_millis(used));
-        assert_eq!(travel.send_instruction(at(begins), scan("r")), None);
+        assert_eq!(travel.send_instruction(at(begins), scan("r")), Sent::UnderWay);
         assert_eq!((travel.free_at(&id()), travel.next_deadline()), (at(ends), Some(at(ends))));
         assert!(travel.next_instruction(at(ends)).is_some());
     }
@@ -112,7 +112,7 @@ fn the_staleness_is_that_of_the_contexts_at_the_decision() {
 fn a_plugin_beside_the_core_gets_its_contexts_back_at_once() {
     let mut travel = travel(Way::None, 0);
     assert!(travel.send_context(at(0), &id(), context("r", 0)).is_some());
-    assert_eq!(travel.send_instruction(at(0), scan("r")), Some(scan("r")));
+    assert_eq!(travel.send_instruction(at(0), scan("r")), Sent::Arrived(scan("r").into()));
     assert_eq!(travel.next_deadline(), None);
 }
 
@@ -125,6 +125,7 @@ fn a_plugin_that_is_far_behind_misses_the_oldest() {
     }
     assert!(travel.next_context(at(9999), &id()).is_none());
     assert_eq!(travel.next_context(at(10_000), &id()).unwrap().at, at(10));
+    assert_eq!(travel.missed(), 10);
 }
 
 #[test]
@@ -156,7 +157,7 @@ fn a_message_has_the_bytes_of_its_json_between_the_nodes() {
     assert_eq!(payload, json);
     assert!(sent.iter().all(|datagram| datagram.from == "edge" && datagram.to == "cloud"));
     assert!(travel.next_context(at(1), &id()).is_none());
-    sent.iter().for_each(|datagram| travel.receive(at(1), &datagram.payload));
+    sent.iter().for_each(|datagram| travel.receive(at(1), datagram));
     assert_eq!(travel.next_context(at(1), &id()), Some(context));
 }
 
@@ -167,12 +168,66 @@ fn a_lost_context_is_not_seen_and_later_ones_are() {
         travel.send_context(at(ms), &id(), context("r", ms));
         let sent = datagrams(&mut travel, at(ms));
         if ms != 1 {
-            sent.iter().for_each(|datagram| travel.receive(at(ms), &datagram.payload));
+            sent.iter().for_each(|datagram| travel.receive(at(ms), datagram));
         }
     }
     let seen: Vec<_> = std::iter::from_fn(|| travel.next_context(at(9), &id())).map(|seen| seen.at).collect();
     assert_eq!(seen, [at(0), at(2)]);
     assert_eq!(travel.next_deadline(), None);
+}
+
+#[test]
+fn datagrams_that_others_send_change_nothing() {
+    let mut travel = between_nodes();
+    travel.send_context(at(0), &id(), context("r", 0));
+    travel.send_instruction(at(0), scan("r"));
+    let sent = datagrams(&mut travel, at(0));
+    for datagram in &sent {
+        let Datagram { from, to, payload } = datagram.clone();
+        for (from, to) in [(to.clone(), from), ("robot".parse().unwrap(), to)] {
+            travel.receive(at(1), &Datagram { from, to, payload: payload.clone() });
+        }
+    }
+    assert!(travel.next_context(at(1), &id()).is_none() && travel.next_instruction(at(1)).is_none());
+    sent.iter().for_each(|datagram| travel.receive(at(2), datagram));
+    assert!(travel.next_context(at(2), &id()).is_some() && travel.next_instruction(at(2)).is_some());
+    // The acknowledgement counts only from the core.
+    let [acknowledgement] = &datagrams(&mut travel, at(2))[..] else { panic!("one instruction arrived") };
+    let (from, to) = (acknowledgement.to.clone(), acknowledgement.from.clone());
+    travel.receive(at(3), &Datagram { from, to, payload: acknowledgement.payload.clone() });
+    assert!(travel.next_deadline().is_some());
+    travel.receive(at(3), acknowledgement);
+    assert_eq!(travel.next_deadline(), None);
+}
+
+#[test]
+fn contexts_are_handed_over_one_at_a_time_and_known_once_handled() {
+    let mut travel = delayed(10, 0);
+    travel.send_context(at(0), &id(), context("r", 0));
+    travel.send_context(at(5), &id(), context("r", 5));
+    assert_eq!(travel.hand_over(at(20), &id()), Some(context("r", 0)));
+    assert_eq!((travel.hand_over(at(20), &id()), travel.next_deadline()), (None, None));
+    // It was given by a timer, before the plug-in has handled any context.
+    travel.send_instruction(at(20), scan("r"));
+    assert_eq!(travel.next_instruction(at(30)), Some((scan("r"), Vec::new())));
+    travel.handled(&id());
+    travel.send_instruction(at(40), scan("r"));
+    let (_, staleness) = travel.next_instruction(at(50)).unwrap();
+    assert_eq!(staleness[0].youngest, Duration::from_millis(50));
+    assert_eq!(travel.hand_over(at(50), &id()), Some(context("r", 5)));
+}
+
+#[test]
+fn instructions_under_way_are_bounded() {
+    let dead = Way::Nodes { core: "edge".parse().unwrap(), plugin: "cloud".parse().unwrap() };
+    for mut travel in [travel(dead, 0), delayed(1000, 0)] {
+        for _ in 0..INSTRUCTIONS {
+            assert_eq!(travel.send_instruction(at(0), scan("r")), Sent::UnderWay);
+            // Nothing arrives.
+            let _ = datagrams(&mut travel, at(0));
+        }
+        assert_eq!(travel.send_instruction(at(0), scan("r")), Sent::Rejected);
+    }
 }
 
 proptest! {
@@ -184,7 +239,7 @@ proptest! {
         let mut travel = between_nodes();
         let long = "x".repeat(1000);
         let given = |n: u32| Given { reason: Some(format!("{n} {long}{long}")), ..scan("r") };
-        (0..count).for_each(|n| assert!(travel.send_instruction(at(0), given(n)).is_none()));
+        (0..count).for_each(|n| assert_eq!(travel.send_instruction(at(0), given(n)), Sent::UnderWay));
         let (mut fates, mut arrived, mut held) = (fates.into_iter(), Vec::new(), None);
         let mut now = at(0);
         while let Some(deadline) = travel.next_deadline() {
@@ -193,15 +248,15 @@ proptest! {
                 // After a while, the network is perfect.
                 match fates.next() {
                     Some((0, _)) => continue,
-                    Some((1, _)) => travel.receive(now, &datagram.payload),
+                    Some((1, _)) => travel.receive(now, &datagram),
                     Some((2, _)) => {
                         held = Some(datagram);
                         continue;
                     }
                     _ => {}
                 }
-                travel.receive(now, &datagram.payload);
-                held.take().into_iter().for_each(|late: Datagram| travel.receive(now, &late.payload));
+                travel.receive(now, &datagram);
+                held.take().into_iter().for_each(|late: Datagram| travel.receive(now, &late));
             }
             arrived.extend(std::iter::from_fn(|| travel.next_instruction(now)).map(|(given, _)| given));
         }
@@ -212,7 +267,10 @@ proptest! {
     fn nothing_that_arrives_does_harm(payload in proptest::collection::vec(any::<u8>(), 0..40)) {
         let mut travel = between_nodes();
         travel.send_instruction(at(0), scan("r"));
-        travel.receive(at(0), &payload);
+        for (from, to) in [("edge", "cloud"), ("cloud", "edge")] {
+            let (from, to) = (from.parse().unwrap(), to.parse().unwrap());
+            travel.receive(at(0), &Datagram { from, to, payload: payload.clone() });
+        }
         let _ = datagrams(&mut travel, at(0));
     }
 }

@@ -126,9 +126,10 @@ impl Run {
         services: ServicesUp,
     ) -> Result<Self, RunError> {
         let receptions = start_receivers(&nodes.sockets, &network)?;
+        nodes.control.receive(&network.now, &network.messages)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
         let NetworkUp { datapath, now, traffic, inbox, messages, is_probed, .. } = network;
-        let NodesUp { mut core, masters, sockets, image_sockets, radios, .. } = nodes;
+        let NodesUp { mut core, masters, sockets, control, image_sockets, radios, .. } = nodes;
         let ServicesUp { live, stream, mut server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);
         if tap.is_some() {
@@ -153,8 +154,19 @@ impl Run {
         let images = images.map_err(system("start the thread that sends images"))?;
         let history_bound = HistoryBound::new(&prepared.options, &folder);
         let bound = history_bound.clone();
-        let mut core_loop =
-            CoreLoop { core, report, plugins, fanout, inbox, sockets, images, now, until, history: bound };
+        let mut core_loop = CoreLoop {
+            core,
+            report,
+            plugins,
+            fanout,
+            inbox,
+            sockets,
+            control,
+            images,
+            now,
+            until,
+            history: bound,
+        };
         if let Some(previous) = &prepared.options.after {
             let notes = previous.notes_before(prepared.info.started_at_unix_ns);
             notes.for_each(|note| core_loop.publish_event(note));

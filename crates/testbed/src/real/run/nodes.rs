@@ -23,6 +23,7 @@ use crate::{
     error::{RunError, system},
     real::{
         confined::Confined,
+        control_sockets::ControlSockets,
         network::RealNetwork,
         robots::{AtAgents, Masters, Robots},
     },
@@ -38,6 +39,8 @@ pub(super) struct NodesUp {
     pub(super) image_sockets: BTreeMap<NodeId, UdpSocket>,
     /// A socket in each robot.
     pub(super) sockets: BTreeMap<NodeId, UdpSocket>,
+    /// Sockets between the core and plug-ins on nodes.
+    pub(super) control: ControlSockets,
     /// The Wi-Fi programs at agents, if there are any.
     pub(super) radios: Option<Wifi>,
     /// Access of applications to the platform, and its port on its node.
@@ -55,6 +58,8 @@ impl NodesUp {
         confined: Confined,
     ) -> Result<Self, RunError> {
         let (testbed, datapath) = (&prepared.testbed, &network.datapath);
+        // First, because other sockets may be given any free port.
+        let control = ControlSockets::open(testbed, datapath)?;
         let sockets = open_sockets(testbed, datapath, testbed.graph.robots().map(|(node, _)| &node.id))?;
         let image_sockets = open_sockets(testbed, datapath, images::senders(testbed))?;
         let applications = Applications::new(testbed);
@@ -114,7 +119,8 @@ impl NodesUp {
             let tunnels = Tunnels::start(testbed, border, datapath, departures, &network.messages)?;
             core.open_border(Border::new(Arc::clone(testbed), border.clone(), tunnels, places));
         }
-        Ok(Self { core, masters: robots.masters(), image_sockets, sockets, radios, applications, platform })
+        let masters = robots.masters();
+        Ok(Self { core, masters, image_sockets, sockets, control, radios, applications, platform })
     }
 }
 

@@ -46,6 +46,7 @@ impl ServicesUp {
             namespaces: Arc::new(namespaces.collect()),
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
+            distant: plugins.distant(),
             replay: false,
             paced: false,
             verdict: None,
