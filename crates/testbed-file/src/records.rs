@@ -1566,7 +1566,7 @@ choice!(ExchangeWord, "kind of exchange", {
     "times" => Self::Times, "handovers take the times of their phases";
     "frames" => Self::Frames, "handovers take as long as their frames on the air, with the timers of a kernel of 250 Hz";
 });
-choice!(SchedulingWord, "order of service", {
+choice!(SchedulingWord, "kind of scheduling", {
     "fifo" => Self::Fifo, "in the order of arrival, as many at a time as there are `workers`";
     "shared" => Self::Shared, "all at once, which share the VNF's CPUs evenly";
 });

@@ -295,18 +295,33 @@ fn every_figure_is_documented_with_its_unit() {
         serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
     in_document(&summary["traffic"], used.entry("summary.json").or_default());
 
-    let mut found = BTreeSet::new();
+    let busy = out.path().join("busy");
+    let run = cotorra(["run", "--headless", "--simulate", "--until", "1s", "--set", "currency=EUR", "--out"])
+        .arg(&busy)
+        .arg(project_file("testbeds/busy.yaml"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let folder = fs::read_dir(&busy).unwrap().next().unwrap().unwrap().path();
+    let summary: Value =
+        serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
+    for part in ["computing", "bill"] {
+        in_document(&summary[part], used.entry("summary.json").or_default());
+    }
+
+    let (mut found, mut lacking) = (BTreeSet::new(), Vec::new());
     for (place, names) in &used {
         for name in names.iter().filter(|name| !NO_QUANTITIES.contains(&name.as_str())) {
             if STATISTICS.contains(&name.as_str()) {
                 continue;
             }
-            let quantity = quantity(name, &fields);
-            found.insert(
-                quantity.unwrap_or_else(|| panic!("docs/reference/fields.md lacks `{name}` of {place}")),
-            );
+            match quantity(name, &fields) {
+                Some(quantity) => drop(found.insert(quantity)),
+                None => lacking.push(format!("`{name}` of {place}")),
+            }
         }
     }
+    assert!(lacking.is_empty(), "docs/reference/fields.md lacks {}", lacking.join(", "));
     let idle: Vec<_> = fields.keys().filter(|name| !found.contains(*name)).collect();
     assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/reference/fields.md");
 }
