@@ -37,7 +37,7 @@ pub enum FlowProtocol {
         /// The server's port.
         port: u16,
     },
-    /// A request of HTTP/1, and the last byte of the response.
+    /// A request of HTTP/1 or HTTP/2, and the last byte of the response.
     Http {
         /// The server's port.
         port: u16,

@@ -1,17 +1,19 @@
-//! Parses requests and responses of HTTP/1 on one connection (RFC 9112).
+//! Requests and responses of HTTP on one connection: HTTP/1, or HTTP/2 if the client begins so.
 
-use std::{collections::VecDeque, time::Duration};
+use std::time::Duration;
 
-mod body;
-mod head;
-
-use self::{
-    body::Body,
-    head::{Head, NotHttp},
-};
+mod http1;
+mod http2;
 
 /// Most requests of a connection that wait for their responses.
 const MOST: usize = 128;
+
+/// What a client of HTTP/2 sends first (RFC 9113, 3.4).
+const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+
+/// The bytes are not HTTP, or exceed a bound.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct NotHttp;
 
 /// The protocol of the connection's next bytes.
 #[derive(Debug, PartialEq, Eq)]
@@ -22,171 +24,83 @@ pub(crate) enum Next {
     Other,
 }
 
-/// A request that waits for its response.
-#[derive(Debug)]
-struct Pending {
-    /// Number on the connection, if it is measured.
-    measured: Option<u64>,
-    method: Method,
-}
+/// Time and mark of bytes that passed.
+type Passed = (Duration, u64);
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Method {
-    Head,
-    Connect,
-    Other,
-}
-
-/// The parser's position in one direction.
-#[derive(Debug)]
-enum Place {
-    /// Before a message, or in its head.
-    Head(Head),
-    Body(Body),
-}
-
-/// The state of both directions of a connection.
+/// The state of both directions of a connection. Measured requests are numbered in the order in which they begin.
 #[derive(Debug)]
 pub(crate) struct Exchange {
     path: Option<String>,
-    client: Place,
-    /// Time and mark of the request's first byte.
-    began: Option<(Duration, u64)>,
-    server: Place,
-    pending: VecDeque<Pending>,
-    /// Number of measured requests so far.
-    count: u64,
+    version: Version,
+}
+
+#[derive(Debug)]
+enum Version {
+    /// The client sent so many bytes of HTTP/2's preface, the first one at that time.
+    Unknown(usize, Option<Passed>),
+    One(http1::Exchange),
+    Two(Box<http2::Exchange>),
 }
 
 impl Exchange {
+    /// Creates the exchange of a new connection, which measures requests of one path, or all.
     pub fn new(path: Option<String>) -> Self {
-        let [client, server] = [Place::Head(Head::default()), Place::Head(Head::default())];
-        Self { path, client, began: None, server, pending: VecDeque::new(), count: 0 }
+        Self { path, version: Version::Unknown(0, None) }
     }
 
-    /// Takes the client's next bytes. Passes each measured request to `begin`.
+    /// Takes the client's next bytes. Passes each measured request to `begin`, with the time of its first byte.
     pub fn client(
         &mut self,
-        now: (Duration, u64),
+        now: Passed,
         mut bytes: &[u8],
-        mut begin: impl FnMut(u64, (Duration, u64)),
+        mut begin: impl FnMut(u64, Passed),
     ) -> Result<(), NotHttp> {
-        while !bytes.is_empty() {
-            match &mut self.client {
-                Place::Body(body) => {
-                    let is_over = body.take(&mut bytes)?;
-                    if is_over {
-                        self.client = Place::Head(Head::default());
-                    }
-                }
-                Place::Head(head) => {
-                    let is_whole = head.take(&mut bytes)?;
-                    if !head.is_empty() {
-                        self.began.get_or_insert(now);
-                    }
-                    if !is_whole {
-                        continue;
-                    }
-                    let (path, method, body) = request(head.bytes())?;
-                    let entered = self.began.take().unwrap_or(now);
-                    if self.pending.len() == MOST {
-                        return Err(NotHttp);
-                    }
-                    let is_measured = self.path.as_ref().is_none_or(|wanted| *wanted == path);
-                    let measured = is_measured.then_some(self.count);
-                    if let Some(number) = measured {
-                        begin(number, entered);
-                        self.count += 1;
-                    }
-                    self.pending.push_back(Pending { measured, method });
-                    self.client = body.map_or_else(|| Place::Head(Head::default()), Place::Body);
-                }
+        if let Version::Unknown(matched, began) = &mut self.version {
+            let began = *began.get_or_insert(now);
+            let expected = &PREFACE[*matched..];
+            let same = expected.iter().zip(bytes).take_while(|(expected, byte)| expected == byte).count();
+            if same == expected.len() {
+                bytes = &bytes[same..];
+                self.version = self.two(PREFACE.len());
+            } else if same == bytes.len() {
+                *matched += same;
+                return Ok(());
+            } else {
+                let mut one = http1::Exchange::new(self.path.clone());
+                one.client(began, &PREFACE[..*matched], &mut begin)?;
+                self.version = Version::One(one);
             }
         }
-        Ok(())
+        match &mut self.version {
+            Version::One(one) => one.client(now, bytes, begin),
+            Version::Two(two) => two.client(now, bytes, begin),
+            Version::Unknown(..) => Ok(()),
+        }
     }
 
     /// Takes the server's next bytes. Passes each measured request whose response ends in them to `answer`.
-    pub fn server(&mut self, mut bytes: &[u8], mut answer: impl FnMut(u64)) -> Result<Next, NotHttp> {
-        while !bytes.is_empty() {
-            match &mut self.server {
-                Place::Body(body) => {
-                    if body.take(&mut bytes)? {
-                        self.respond(&mut answer);
-                    }
-                }
-                Place::Head(head) => {
-                    if !head.take(&mut bytes)? {
-                        continue;
-                    }
-                    let pending = self.pending.front().ok_or(NotHttp)?;
-                    let (status, body) = response(head.bytes(), pending.method)?;
-                    let is_another =
-                        status == 101 || pending.method == Method::Connect && (200..300).contains(&status);
-                    match body {
-                        _ if is_another => {
-                            self.respond(&mut answer);
-                            return Ok(Next::Other);
-                        }
-                        // The final response is still to come.
-                        _ if status < 200 => self.server = Place::Head(Head::default()),
-                        None => self.respond(&mut answer),
-                        Some(body) => self.server = Place::Body(body),
-                    }
-                }
-            }
+    pub fn server(&mut self, bytes: &[u8], answer: impl FnMut(u64)) -> Result<Next, NotHttp> {
+        // Only a server of HTTP/2 may speak first.
+        if let Version::Unknown(matched, _) = self.version {
+            self.version = self.two(matched);
         }
-        Ok(Next::Http)
+        match &mut self.version {
+            Version::One(one) => one.server(bytes, answer),
+            Version::Two(two) => two.server(bytes, answer).map(|()| Next::Http),
+            Version::Unknown(..) => Ok(Next::Http),
+        }
+    }
+
+    /// The state of HTTP/2, after so many bytes of the preface.
+    fn two(&self, matched: usize) -> Version {
+        Version::Two(Box::new(http2::Exchange::new(&PREFACE[matched..], self.path.clone())))
     }
 
     /// Ends the server's direction. Returns the measured request whose response ends with it.
     pub fn close(&mut self) -> Option<u64> {
-        let ends = matches!(&self.server, Place::Body(Body::UntilClose));
-        ends.then(|| self.end_response()).flatten()
-    }
-
-    fn respond(&mut self, answer: &mut impl FnMut(u64)) {
-        if let Some(request) = self.end_response() {
-            answer(request);
+        match &mut self.version {
+            Version::One(one) => one.close(),
+            Version::Two(_) | Version::Unknown(..) => None,
         }
     }
-
-    fn end_response(&mut self) -> Option<u64> {
-        self.server = Place::Head(Head::default());
-        self.pending.pop_front()?.measured
-    }
-}
-
-/// Returns path, method and body of a request with this head.
-fn request(head: &[u8]) -> Result<(String, Method, Option<Body>), NotHttp> {
-    let mut headers = [httparse::EMPTY_HEADER; head::MOST_HEADERS];
-    let mut request = httparse::Request::new(&mut headers);
-    request.parse(head).ok().filter(httparse::Status::is_complete).ok_or(NotHttp)?;
-    let target = request.path.ok_or(NotHttp)?;
-    // RFC 9112, 3.2.2: a request to a proxy has the absolute URI.
-    let path = match target.split_once("://") {
-        Some((_, rest)) if !target.starts_with('/') => rest.find('/').map_or("/", |slash| &rest[slash..]),
-        _ => target,
-    };
-    let path = path.split('?').next().unwrap_or_default().to_owned();
-    let method = match request.method {
-        Some("HEAD") => Method::Head,
-        Some("CONNECT") => Method::Connect,
-        _ => Method::Other,
-    };
-    // RFC 9112, 6.3: a request without a length has no body.
-    let body = Body::of(request.headers)?.filter(|body| !matches!(body, Body::UntilClose));
-    Ok((path, method, body))
-}
-
-/// Returns status and body of a response with this head to a request of this method.
-fn response(head: &[u8], to: Method) -> Result<(u16, Option<Body>), NotHttp> {
-    let mut headers = [httparse::EMPTY_HEADER; head::MOST_HEADERS];
-    let mut response = httparse::Response::new(&mut headers);
-    response.parse(head).ok().filter(httparse::Status::is_complete).ok_or(NotHttp)?;
-    let status = response.code.ok_or(NotHttp)?;
-    // RFC 9112, 6.3.
-    let has_none = status < 200 || status == 204 || status == 304 || to == Method::Head;
-    let body = if has_none { None } else { Body::of(response.headers)? };
-    Ok((status, body))
 }

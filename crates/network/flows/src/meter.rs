@@ -26,7 +26,7 @@ pub enum Protocol {
         /// The server's port.
         port: u16,
     },
-    /// HTTP/1 requests to a port, each up to the last byte of the response.
+    /// Requests of HTTP/1 or HTTP/2 to a port, each up to the last byte of the response.
     Http {
         /// The server's port.
         port: u16,

@@ -19,7 +19,7 @@ const MOST: usize = 256;
 pub(crate) enum Kind {
     /// An unknown protocol to this port. The first bytes of the server after the client's answer the client's.
     Bursts(u16),
-    /// HTTP/1 to this port: requests of one path, or all.
+    /// HTTP to this port: requests of one path, or all.
     Http(u16, Option<String>),
     /// ROS 1 to any port.
     Ros1(ros1::Measured),

@@ -5,6 +5,8 @@ use crate::{
     testing::{FIN, RST, SYN, Talk, frame, ms, samples, tcp},
 };
 
+mod http2;
+
 const CLIENT: (u8, u16) = (1, 40_000);
 const SERVER: (u8, u16) = (2, 8080);
 
@@ -183,7 +185,7 @@ fn only_requests_of_the_path_count_and_responses_are_in_order() {
 fn other_protocols_are_counted_and_not_followed() {
     let mut meter = http(None);
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
-    talk.say(&mut meter, 1, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n");
+    talk.say(&mut meter, 1, b"\x16\x03\x01\x02\x00 TLS\r\n\r\n");
     talk.hear(&mut meter, 2, &[0; 40]);
     let mut other = Talk::begin(&mut meter, 3, (1, 40_001), SERVER);
     // A change that both ends agree on is no failure. Its response ends with its head.

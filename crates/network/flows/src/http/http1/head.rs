@@ -1,13 +1,11 @@
 //! Collects the head of a message.
 
-/// The bytes are not HTTP/1, or exceed a bound.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) struct NotHttp;
+use crate::http::NotHttp;
 
 /// Longest head, bytes.
 const MOST: usize = 32 << 10;
 /// Most headers of a message.
-pub(super) const MOST_HEADERS: usize = 128;
+pub(crate) const MOST_HEADERS: usize = 128;
 
 /// A partly received head.
 #[derive(Debug, Default)]

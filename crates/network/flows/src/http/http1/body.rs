@@ -2,7 +2,7 @@
 
 use httparse::Header;
 
-use super::head::NotHttp;
+use crate::http::NotHttp;
 
 /// Longest chunk-size or trailer line, bytes.
 const MOST_LINE: usize = 4096;
