@@ -2,6 +2,7 @@
 
 use std::{collections::HashSet, fmt, path::PathBuf, time::Duration};
 
+use cotorra_numbers::Distribution;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -161,10 +162,13 @@ pub struct Walk {
     /// Speed that it does not exceed, m/s.
     #[serde(rename = "speed_limit_mps")]
     pub speed_limit: f64,
-    /// Interval of the robot's position packets.
+    /// Interval of the robot's position packets, or its mean.
     #[serde(rename = "position_interval_ms", with = "millis")]
     #[schema(value_type = f64)]
     pub position_interval: Duration,
+    /// Distribution of the intervals, seconds; `None` if all are alike.
+    #[serde(skip)]
+    pub random_intervals: Option<Distribution>,
 }
 
 /// A plug-in that runs with the testbed.

@@ -26,6 +26,7 @@ use std::{
     collections::{BTreeMap, HashMap, HashSet},
     path::Path,
     sync::Arc,
+    time::Duration,
 };
 
 use cotorra_graph::{
@@ -42,7 +43,7 @@ use crate::{
         ProbesRecord, ProbesWord, RetentionRecord, RetentionsRecord, TestbedRecord, WaisRecord, WalkRecord,
     },
     yaml::{
-        Sink,
+        Diagnostic, Sink,
         decode::{Either, Name as _, Spanned},
     },
 };
@@ -170,13 +171,17 @@ fn domains(listed: &[Spanned<DomainId>], sink: &mut Sink) -> Vec<DomainId> {
 impl Builder<'_> {
     fn map(&mut self) -> Option<Option<OccupancyGrid>> {
         let Some(path) = &self.record.map else { return Some(None) };
-        match map_server::load(self.base_dir.join(&path.value)) {
-            Ok(grid) => Some(Some(grid)),
+        let place = |d: &Diagnostic| format!("{}:{}:{}: {}", path.value, d.line, d.column, d.message);
+        match map_server::load_with_warnings(self.base_dir.join(&path.value)) {
+            Ok((grid, warnings)) => {
+                for d in warnings.into_iter().flat_map(|found| found.list) {
+                    self.sink.warning(&path.span, place(&d)).help(d.help.unwrap_or_default());
+                }
+                Some(Some(grid))
+            }
             Err(found) => {
                 for d in found.list {
-                    let of_file = found.source_text.is_empty();
-                    let place = format!("{}:{}:{}: ", path.value, d.line, d.column);
-                    let message = if of_file { d.message } else { place + &d.message };
+                    let message = if found.source_text.is_empty() { d.message.clone() } else { place(&d) };
                     self.sink.error(&path.span, message).help(d.help.unwrap_or_default());
                 }
                 None
@@ -197,12 +202,20 @@ impl Builder<'_> {
                 .error(&next.span, format!("the walk has no waypoint {}", next.value))
                 .help(format!("write an index from 0; {most} is the end of this walk"));
         }
+        let (position_interval, random_intervals) = match &record.position_interval.value {
+            Either::Short(interval) => (*interval, None),
+            Either::Long(_) => {
+                let intervals = self.distribution(&record.position_interval, false)?;
+                (Duration::from_secs_f64(intervals.mean()), Some(intervals))
+            }
+        };
         Some(Walk {
             robot: robot?,
             waypoints,
             next: record.next.as_ref().map(|next| next.value),
             speed_limit: record.speed_limit.value.0,
-            position_interval: record.position_interval.value,
+            position_interval,
+            random_intervals,
         })
     }
 

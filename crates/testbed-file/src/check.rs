@@ -19,7 +19,10 @@ use cotorra_graph::{
 
 use crate::{
     records::{NodeRecord, TestbedRecord},
-    yaml::{Sink, decode::Spanned},
+    yaml::{
+        Sink,
+        decode::{Either, Spanned},
+    },
 };
 
 /// Parts of service times that are no links (`docs/use/time-parts.md`). Those that are have the links' names.
@@ -278,7 +281,7 @@ fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                     .help("keep all heights of its walk equal, or write `model: quadrotor`");
             }
         }
-        if walk.position_interval.value.is_zero() {
+        if matches!(&walk.position_interval.value, Either::Short(interval) if interval.is_zero()) {
             sink.error(&walk.position_interval.span, "position packets without a pause")
                 .help("write an interval above zero, such as `200 ms`");
         }

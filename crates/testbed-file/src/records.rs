@@ -1252,7 +1252,7 @@ record! {
 }
 
 record! {
-    /// A request of HTTP/1, and the last byte of the response.
+    /// A request of HTTP/1 or HTTP/2, and the last byte of the response.
     FlowHttpRecord {
         /// The server's port.
         port: Spanned<u16>,
@@ -1460,8 +1460,8 @@ record! {
         next: Option<Spanned<u32>>,
         /// Speed that it does not exceed.
         speed_limit: Spanned<Speed> = "0.3 m/s",
-        /// Interval of the robot's position packets.
-        position_interval: Spanned<Duration> = "200 ms",
+        /// Interval of the robot's position packets, or a distribution of their intervals.
+        position_interval: Times = "200 ms",
     }
 }
 

@@ -29,6 +29,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
             next: None,
             speed_limit: 0.3,
             position_interval: Duration::from_millis(200),
+            random_intervals: None,
         }],
         ..base::testbed(base::graph(vec![node], Vec::new()))
     }

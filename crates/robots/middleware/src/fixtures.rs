@@ -41,5 +41,6 @@ pub fn walk(name: &str, waypoints: &[(f64, f64)]) -> Walk {
         waypoints: waypoints.iter().map(|&(x, y)| Position::new(x, y)).collect(),
         speed_limit: 0.3,
         position_interval: Duration::from_millis(200),
+        random_intervals: None,
     }
 }

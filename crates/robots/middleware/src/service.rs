@@ -6,7 +6,6 @@ use std::{net::SocketAddrV4, time::Duration};
 use cotorra_graph::{
     GoalEvent, GoalState, Pose, Position, RobotClock, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
 };
-use cotorra_numbers::Draws;
 use cotorra_plugin::{
     convert::{from_twist, to_pose},
     wire::{NavigationPacket, PositionPacket},
@@ -14,7 +13,7 @@ use cotorra_plugin::{
 
 use crate::{
     answer_error::AnswerError,
-    beat::beat,
+    beat::Beat,
     exchange::{Exchange, Reply, Route, Sent},
     goal::Goal,
     nonce::Nonces,
@@ -33,8 +32,7 @@ use crate::{
 pub(crate) struct ServiceEndpoint {
     exchange: Exchange<Purpose>,
     walk_length: u32,
-    interval: Duration,
-    next_emission: Timestamp,
+    beat: Beat,
     /// Whether the packet before was emitted, so that those that were due since then are missing.
     continues: bool,
     /// Index of the next waypoint.
@@ -71,13 +69,11 @@ pub(crate) struct Answer {
 }
 
 impl ServiceEndpoint {
-    /// Shortest interval between position packets.
-    pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
     /// Most position packets at once that count as missed.
-    pub const MOST_MISSED: u64 = 10_000;
+    pub const MOST_MISSED: usize = 10_000;
 
     /// Creates an endpoint at the start of the walk, or on its way. The clock's phase and drift are of the seed, so that
-    /// robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
+    /// robots do not emit in step. Intervals below [`Beat::LEAST_GAP`] count as that.
     pub fn new(
         service: ServiceId,
         walk: &Walk,
@@ -85,14 +81,14 @@ impl ServiceEndpoint {
         clock: &RobotClock,
         seed: u64,
     ) -> Self {
-        let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
-        let draws = Draws::new(seed, &format!("{}/phase", walk.robot));
-        let (next_emission, interval) = beat(clock, interval, draws);
+        let beat = match walk.random_intervals {
+            Some(intervals) => Beat::random(intervals, seed, &format!("{}/arrivals", walk.robot)),
+            None => Beat::equal(clock, walk.position_interval, seed, &format!("{}/phase", walk.robot)),
+        };
         Self {
             exchange: Exchange::new(service, walk.robot.clone(), command_timeout),
             walk_length: u32::try_from(walk.waypoints.len()).unwrap_or(u32::MAX),
-            interval,
-            next_emission,
+            beat,
             continues: false,
             waypoint: walk.next.unwrap_or(0),
             goal: None,
@@ -159,13 +155,13 @@ impl ServiceEndpoint {
 
     /// Returns the time at which a position packet is due or an unanswered one is given up.
     pub fn next_deadline(&self) -> Option<Timestamp> {
-        let emission = (!self.is_idle()).then_some(self.next_emission);
+        let emission = (!self.is_idle()).then_some(self.beat.next());
         [emission, self.exchange.next_deadline()].into_iter().flatten().min()
     }
 
     /// Whether a position packet is due.
     pub fn is_due(&self, now: Timestamp) -> bool {
-        !self.is_idle() && self.next_emission <= now
+        !self.is_idle() && self.beat.next() <= now
     }
 
     /// Returns the service times of the position packets that were due before the one that is due at `now`, because nobody
@@ -175,24 +171,12 @@ impl ServiceEndpoint {
         if !self.continues || !self.is_due(now) {
             return (Vec::new(), 0);
         }
-        let missed = self.overdue(now);
-        let first = self.next_emission;
-        self.next_emission = self.emission_after(missed);
-        let counted = missed.min(Self::MOST_MISSED);
-        let due = (0..counted).map(|n| first + Duration::from_nanos(self.interval.as_nanos() as u64 * n));
-        (due.map(|due| self.exchange.miss(due, route)).collect(), missed - counted)
-    }
-
-    /// Returns how many packets were due before the one that is due at `now`.
-    fn overdue(&self, now: Timestamp) -> u64 {
-        let overdue = now.since(self.next_emission).as_nanos() / self.interval.as_nanos();
-        u64::try_from(overdue).unwrap_or(u64::MAX)
-    }
-
-    /// Returns when so many packets after the next one are due.
-    fn emission_after(&self, packets: u64) -> Timestamp {
-        let step = self.interval.as_nanos().saturating_mul(packets.into());
-        self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX))
+        let (mut missed, mut left_out) = (Vec::new(), 0);
+        self.beat.catch_up(now, |due| match missed.len() {
+            Self::MOST_MISSED => left_out += 1,
+            _ => missed.push(due),
+        });
+        (missed.into_iter().map(|due| self.exchange.miss(due, route)).collect(), left_out)
     }
 
     /// Emits the position packet that is due at `now`, if any, on this route, with a nonce for each server. Packets that were
@@ -229,7 +213,8 @@ impl ServiceEndpoint {
         if !self.is_due(now) {
             return;
         }
-        self.next_emission = self.emission_after(self.overdue(now).saturating_add(1));
+        self.beat.catch_up(now, |_| ());
+        self.beat.step();
         self.continues = false;
     }
 

@@ -35,11 +35,11 @@ fn ms(ms: u64) -> Duration {
 
 /// Emits the next packet when it is due.
 fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
-    emit_at(endpoint, endpoint.next_emission).unwrap()
+    emit_at(endpoint, endpoint.beat.next()).unwrap()
 }
 
 fn emit_at(endpoint: &mut ServiceEndpoint, now: Timestamp) -> Option<PositionPacket> {
-    let mut nonces = Nonces::seeded(endpoint.next_emission.as_nanos());
+    let mut nonces = Nonces::seeded(endpoint.beat.next().as_nanos());
     endpoint.emit(now, &pose(), route(), &mut nonces).map(|sent| sent.packet)
 }
 
@@ -132,7 +132,7 @@ fn packets_that_were_due_and_not_emitted_are_samples_without_an_answer() {
     assert_eq!(missed.iter().map(|sample| sample.sequence).collect::<Vec<_>>(), (1..15).collect::<Vec<_>>());
     assert!(missed.iter().all(|sample| sample.took.is_none() && sample.server == id("cloud")));
     assert_eq!((after.sequence, after.emitted, uncounted), (15, now, 0));
-    assert_eq!(endpoint.next_emission, first.emitted + ms(3200), "it keeps its pace");
+    assert_eq!(endpoint.beat.next(), first.emitted + ms(3200), "it keeps its pace");
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn packets_that_nobody_waits_for_are_not_missed() {
     assert_eq!(missed(&mut endpoint, due + ms(5000)), 0, "the first one is only late");
     emit_at(&mut endpoint, due + ms(5000)).unwrap();
     // A packet that is emitted on time, or late by less than an interval, leaves nothing out.
-    let next = endpoint.next_emission;
+    let next = endpoint.beat.next();
     assert_eq!((missed(&mut endpoint, next), missed(&mut endpoint, next + ms(199))), (0, 0));
     // The robot had a fault.
     endpoint.skip(next + ms(10_000));
@@ -160,7 +160,7 @@ fn missed_packets_are_bounded() {
     let mut endpoint = endpoint(1);
     let first = emit(&mut endpoint);
     let (missed, uncounted) = endpoint.miss(first.emitted + ms(200) * 20_001, &route());
-    assert_eq!((missed.len() as u64, uncounted), (ServiceEndpoint::MOST_MISSED, 10_000));
+    assert_eq!((missed.len(), uncounted), (ServiceEndpoint::MOST_MISSED, 10_000));
     assert!(emit_at(&mut endpoint, first.emitted + ms(200) * 20_001).is_some());
 }
 
@@ -287,9 +287,9 @@ const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 
 fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
     let servers = vec![(id("cloud"), Some(SERVER)), (id("edge"), Some(OTHER))];
     let route = Route { attachment: Some(id("R1")), servers };
-    let mut nonces = Nonces::seeded(endpoint.next_emission.as_nanos());
+    let mut nonces = Nonces::seeded(endpoint.beat.next().as_nanos());
     let Request { packet, copies } =
-        endpoint.emit(endpoint.next_emission, &pose(), route, &mut nonces).unwrap();
+        endpoint.emit(endpoint.beat.next(), &pose(), route, &mut nonces).unwrap();
     assert_eq!([copies[0].0, copies[1].0], [SERVER, OTHER]);
     [copies[0].1, copies[1].1].map(|nonce| PositionPacket { nonce, ..packet.clone() })
 }

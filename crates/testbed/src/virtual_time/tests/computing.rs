@@ -46,7 +46,11 @@ services:
 }
 
 /// Runs for so many seconds, with this done after half of them.
-fn run_and(testbed: Testbed, seconds: u64, halfway: impl FnOnce(&mut Simulation)) -> (Summary, Vec<Stamped>) {
+pub(super) fn run_with(
+    testbed: Testbed,
+    seconds: u64,
+    halfway: impl FnOnce(&mut Simulation),
+) -> (Summary, Vec<Stamped>) {
     let mut report = Report::new(&testbed, 1).in_virtual_time(&testbed);
     let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
     let (mut halfway, mut events) = (Some(halfway), Vec::new());
@@ -67,7 +71,7 @@ fn run_and(testbed: Testbed, seconds: u64, halfway: impl FnOnce(&mut Simulation)
 }
 
 fn run(testbed: Testbed) -> (Summary, Vec<Stamped>) {
-    run_and(testbed, 20, |_| {})
+    run_with(testbed, 20, |_| {})
 }
 
 fn computing(summary: &Summary) -> &ComputingSummary {
@@ -170,7 +174,7 @@ fn the_first_requests_after_a_start_cost_more_and_a_start_takes_its_time() {
 #[test]
 fn requests_of_an_instance_that_dies_are_lost_and_counted() {
     let keys = "cpu_limit: 1, demand: 200 ms, backlog: 3";
-    let (summary, _) = run_and(testbed(keys, "cpus: 1", ALONE), 20, |simulation| {
+    let (summary, _) = run_with(testbed(keys, "cpus: 1", ALONE), 20, |simulation| {
         simulation.serving().kill(&"brain-a".parse().unwrap());
     });
     let its = vnf(&summary, "brain-a", "s");
@@ -184,7 +188,7 @@ fn requests_of_an_instance_that_dies_are_lost_and_counted() {
 #[test]
 fn an_instance_that_moves_away_finishes_its_requests() {
     let keys = "cpu_limit: 1, demand: 200 ms, backlog: 3";
-    let (summary, _) = run_and(testbed(keys, "cpus: 1", ALONE), 20, |simulation| {
+    let (summary, _) = run_with(testbed(keys, "cpus: 1", ALONE), 20, |simulation| {
         let place = Instruction::Place {
             vnf: "brain-a".parse().unwrap(),
             node: Nodes::from("t".parse::<NodeId>().unwrap()),

@@ -4,6 +4,7 @@ mod camera;
 mod computing;
 mod congestion;
 mod container;
+mod corridor_fleet;
 mod corruption;
 mod distance;
 mod federation;
