@@ -1,7 +1,8 @@
-//! Tests observations of the kernel network's links, in a kernel with NetEm; `scripts/uml` boots one.
+//! Tests observations of the kernel network's links, in a kernel with NetEm; `scripts/uml --radios 0` boots one in virtual time,
+//! where no delay depends on the machine.
 //!
-//! No packet arrives sooner than NetEm lets it, however busy the machine is. A measured delay is therefore at least
-//! the requested one, and a direction without delay measures less than the other one's.
+//! No packet arrives sooner than NetEm lets it. A measured delay is therefore at least the requested one, and a direction
+//! without delay measures less than the other one's.
 #![allow(
     clippy::unwrap_used,
     clippy::disallowed_methods,

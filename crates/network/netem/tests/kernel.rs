@@ -1,5 +1,5 @@
 //! Compares conditions with those that a real kernel applies, with `tc` as an independent witness. Needs a kernel
-//! with NetEm; `scripts/uml` boots one.
+//! with NetEm; `scripts/uml --radios 0` boots one in virtual time.
 #![allow(
     clippy::unwrap_used,
     clippy::disallowed_types,
