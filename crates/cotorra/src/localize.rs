@@ -17,10 +17,9 @@ use cotorra_localization::{
     trajectory::{Errors, LOST, Trajectory},
 };
 use cotorra_testbed::DataTable;
-use cotorra_testbed_file::map_server;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::{arguments::parse_seed, exit::Status, output, signals, testbed_file::FileError};
+use crate::{arguments::parse_seed, exit::Status, output, signals, testbed_file};
 
 /// Localize a robot in a recorded log, by a map
 ///
@@ -137,7 +136,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
     {
         return Err(Error::Reach(reach).into());
     }
-    let map = map_server::load(&args.map).map_err(FileError::from)?;
+    let map = testbed_file::load_map(&args.map)?;
     let scans = scans(&args.log)?;
     let Some(first) = scans.first() else { return Err(Error::NoScan(args.log.clone()).into()) };
     let reference = args.reference.as_deref().map(trajectory).transpose()?;

@@ -7,8 +7,8 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{NodeKind, Position, Testbed};
-use cotorra_testbed_file::{Diagnostics, Setting};
+use cotorra_graph::{NodeKind, OccupancyGrid, Position, Testbed};
+use cotorra_testbed_file::{Diagnostics, Setting, map_server};
 use miette::{LabeledSpan, NamedSource, Severity};
 
 use crate::words::count;
@@ -82,6 +82,14 @@ pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
         }),
         Err(found) => Err(found.into()),
     }
+}
+
+/// Reads a map of map_server, and shows its warnings on standard error.
+pub fn load_map(path: &Path) -> Result<OccupancyGrid, FileError> {
+    let (map, warnings) = map_server::load_with_warnings(path)?;
+    let warnings = warnings.map(|found| Mistake::all(found, Severity::Warning)).unwrap_or_default();
+    warnings.iter().for_each(|warning| note!("{:?}", warning.report()));
+    Ok(map)
 }
 
 /// A mistake, or a warning, with the source text to show it in.

@@ -13,6 +13,7 @@ mod dependencies;
 mod file;
 mod image;
 pub mod map_server;
+pub mod png;
 mod python;
 mod records;
 mod setting;

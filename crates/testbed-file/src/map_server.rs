@@ -1,4 +1,4 @@
-//! Maps in the files of ROS's map_server: a YAML file that says how to read a PGM picture.
+//! Maps in the files of ROS's map_server: a YAML file that says how to read a PGM or PNG picture.
 
 use std::path::Path;
 
@@ -8,6 +8,7 @@ use cotorra_graph::{Cell, OccupancyGrid, Position};
 
 use crate::{
     file,
+    png::{self, Pixel, PngError},
     yaml::{
         self, Diagnostics, Sink, Span,
         decode::{Amount, Decode, Node, Spanned, choice, expected, record},
@@ -17,11 +18,11 @@ use crate::{
 record! {
     /// Description of a map: its picture, and how to read it.
     MapRecord {
-        /// Path of the PGM file, from this file's folder.
+        /// Path of the picture, from this file's folder: PGM, or PNG.
         image: Spanned<String>,
         /// Side of a cell, metres.
         resolution: Spanned<Amount>,
-        /// Lower left corner of the map: x, y in metres, and yaw, which is 0.
+        /// Lower left corner of the map: x, y in metres, and yaw in radians, which turns no cell by half of its side.
         origin: Spanned<Vec<f64>>,
         /// Whether white is occupied, and black free.
         negate: Flag = 0,
@@ -31,6 +32,8 @@ record! {
         free_thresh: Spanned<Amount> = 0.196,
         /// Reading of values between the thresholds: as unknown.
         mode: Mode = "trinary",
+        /// What others take the map for; nothing here.
+        map_type: Option<String>,
     }
 }
 
@@ -48,12 +51,12 @@ pub(crate) struct Flag(bool);
 
 impl Decode for Flag {
     fn schema() -> Json {
-        json!({ "enum": [0, 1, false, true] })
+        json!({ "enum": [0, 1, false, true, "False", "FALSE", "no", "off", "True", "TRUE", "yes", "on"] })
     }
     fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
         match node.plain() {
-            Some("0" | "false") => Some(Self(false)),
-            Some("1" | "true") => Some(Self(true)),
+            Some("0" | "false" | "False" | "FALSE" | "no" | "off") => Some(Self(false)),
+            Some("1" | "true" | "True" | "TRUE" | "yes" | "on") => Some(Self(true)),
             _ => {
                 expected(node, "0 or 1", "write `0` where black is occupied, as map_server does", sink);
                 None
@@ -62,18 +65,28 @@ impl Decode for Flag {
     }
 }
 
-/// Reads a map: the YAML file, and the PGM picture that it names.
+/// Reads a map: the YAML file, and the picture that it names.
 ///
 /// # Errors
 /// Everything that is wrong with the YAML file, each in its place; a picture's mistake shows at its name.
 pub fn load(path: impl AsRef<Path>) -> Result<OccupancyGrid, Diagnostics> {
+    load_with_warnings(path).map(|(grid, _)| grid)
+}
+
+/// As [`load`], and returns warnings, too.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with_warnings(
+    path: impl AsRef<Path>,
+) -> Result<(OccupancyGrid, Option<Diagnostics>), Diagnostics> {
     let path = path.as_ref();
     let name = path.display().to_string();
     let text = file::read_text(path).map_err(|error| {
         Diagnostics::of_file(&name, format!("the map cannot be read: {error}"), "check its path")
     })?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    parse(&name, &text, |image| file::read(&folder.join(image), MAX_PICTURE).map_err(|e| e.to_string()))
+    read(&name, &text, |image| file::read(&folder.join(image), MAX_PICTURE).map_err(|e| e.to_string()))
 }
 
 /// Returns the name of the picture in a map's YAML text, and its place.
@@ -93,12 +106,20 @@ pub fn parse(
     text: &str,
     read_image: impl FnOnce(&str) -> Result<Vec<u8>, String>,
 ) -> Result<OccupancyGrid, Diagnostics> {
+    read(source_name, text, read_image).map(|(grid, _)| grid)
+}
+
+fn read(
+    source_name: &str,
+    text: &str,
+    read_image: impl FnOnce(&str) -> Result<Vec<u8>, String>,
+) -> Result<(OccupancyGrid, Option<Diagnostics>), Diagnostics> {
     let mut sink = Sink::default();
     let grid = yaml::parse(text, &mut sink)
         .and_then(|root| MapRecord::decode(&root, &mut sink))
         .and_then(|record| build(record, read_image, &mut sink));
     match grid {
-        Some(grid) if sink.is_empty() => Ok(grid),
+        Some(grid) if sink.is_empty() => Ok((grid, sink.finish_warnings(source_name, text))),
         _ => Err(sink.finish(source_name, text)),
     }
 }
@@ -113,19 +134,6 @@ fn build(
         sink.error(&record.resolution.span, format!("a cell of {resolution} m is not possible"))
             .help("the side of a cell is 0.001 to 100 metres, usually 0.05");
     }
-    let origin = match record.origin.value[..] {
-        [x, y, yaw] if yaw == 0.0 && x.abs() <= 1e6 && y.abs() <= 1e6 => Some(Position::new(x, y)),
-        [x, y, yaw] if x.abs() <= 1e6 && y.abs() <= 1e6 => {
-            sink.error(&record.origin.span, format!("the map is turned by {yaw} rad"))
-                .help("turn the picture instead, and write a yaw of 0");
-            None
-        }
-        _ => {
-            sink.error(&record.origin.span, "this is not an origin")
-                .help("write `[x, y, 0]`: the lower left corner in metres, within 1000 km of 0, and no yaw");
-            None
-        }
-    };
     let (occupied, free) = (record.occupied_thresh.value.0, record.free_thresh.value.0);
     if occupied > 1.0 {
         sink.error(&record.occupied_thresh.span, "a threshold above 1").help("write a share, usually 0.65");
@@ -135,11 +143,15 @@ fn build(
             .help("write a smaller share, usually 0.196");
     }
     let Mode::Trinary = record.mode;
+    let unexplored_floor = std::cell::Cell::new(0_usize);
     let cell = |brightness: f64| {
         let occupancy = if record.negate.0 { brightness } else { 1.0 - brightness };
         if occupancy > occupied {
             Cell::Occupied
         } else if occupancy < free {
+            if brightness == UNEXPLORED {
+                unexplored_floor.update(|cells| cells + 1);
+            }
             Cell::Free
         } else {
             Cell::Unknown
@@ -150,21 +162,44 @@ fn build(
         .and_then(|bytes| {
             Picture::parse(&bytes, cell).map_err(|error| format!("`{}`: {error}", record.image.value))
         });
+    let side = picture.as_ref().map_or(1, |its| its.width.max(its.cells.len() / its.width)) as f64;
+    let is_near = |x: f64, y: f64| x.abs() <= 1e6 && y.abs() <= 1e6;
+    let origin = match record.origin.value[..] {
+        // Files of SLAM have yaws such as 1e-17.
+        [x, y, yaw] if is_near(x, y) && yaw.abs() * side < 0.5 => Some(Position::new(x, y)),
+        [x, y, yaw] if is_near(x, y) => {
+            sink.error(&record.origin.span, format!("the map is turned by {yaw} rad"))
+                .help("turn the picture instead, and write a yaw of 0");
+            None
+        }
+        _ => {
+            sink.error(&record.origin.span, "this is not an origin")
+                .help("write `[x, y, 0]`: the lower left corner in metres, within 1000 km of 0, and no yaw");
+            None
+        }
+    };
     let picture = match picture {
         Ok(picture) => picture,
         Err(message) => {
             sink.error(&record.image.span, message)
-                .help("name a PGM file (P2 or P5), from this file's folder");
+                .help("name a PGM file (P2 or P5) or a PNG file, from this file's folder");
             return None;
         }
     };
     if !sink.is_empty() {
         return None;
     }
+    if let cells @ 1.. = unexplored_floor.get() {
+        sink.warning(&record.free_thresh.span, format!("{cells} cells of grey 205 count as floor"))
+            .help("map_saver writes 205 where nothing was explored; with `free_thresh: 0.196` such cells are unknown");
+    }
     // A picture begins with its uppermost row, a grid with its lowest.
     let cells = picture.cells.chunks(picture.width).rev().flatten().copied().collect();
     OccupancyGrid::new(picture.width, picture.height, resolution, origin?, cells)
 }
+
+/// Share of white that map_saver writes for cells that were not explored.
+const UNEXPLORED: f64 = 205.0 / 255.0;
 
 /// The cells of a greyscale picture, row by row from the top.
 struct Picture {
@@ -176,8 +211,10 @@ struct Picture {
 /// Error of a PGM picture.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 enum InvalidPicture {
-    #[error("it is not a PGM picture: it begins with neither P2 nor P5")]
+    #[error("it is neither a PGM nor a PNG picture")]
     Magic,
+    #[error(transparent)]
+    Png(#[from] PngError),
     #[error("its {0} is missing or no whole number")]
     Header(&'static str),
     #[error("it has {0} × {1} pixels, but a map has 1 to {MAX_CELLS} cells")]
@@ -196,9 +233,12 @@ const MAX_CELLS: usize = 32 << 20;
 const MAX_PICTURE: usize = 4 * MAX_CELLS + 1024;
 
 impl Picture {
-    /// Reads a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits). `cell` reads a pixel by its share of white. Nothing else
-    /// is kept of a pixel.
+    /// Reads a PNG picture, or a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits). `cell` reads a pixel by its share of
+    /// white. Nothing else is kept of a pixel.
     fn parse(bytes: &[u8], cell: impl Fn(f64) -> Cell) -> Result<Self, InvalidPicture> {
+        if bytes.starts_with(png::SIGNATURE) {
+            return Self::parse(&png::to_pgm(bytes, Pixel::mean)?, cell);
+        }
         let binary = match bytes.get(..2) {
             Some(b"P5") => true,
             Some(b"P2") => false,
@@ -291,9 +331,46 @@ mod tests {
     }
 
     #[test]
+    fn files_of_slam_are_read_as_map_server_reads_them() {
+        let image = b"P2 3 2 255\n254 0 205\n0 254 205\n";
+        let plain = read(YAML, image).unwrap();
+        for more in ["negate: False\n", "negate: no\nmap_type: occupancy\n"] {
+            assert_eq!(read(&format!("{YAML}{more}"), image).unwrap(), plain, "{more}");
+        }
+        assert_ne!(read(&format!("{YAML}negate: True\n"), image).unwrap(), plain);
+        // A yaw that turns no cell by half of its side.
+        let turned = |yaw: &str| read(&YAML.replace("2, 0]", &format!("2, {yaw}]")), image);
+        assert_eq!(turned("1.2e-17").unwrap(), plain);
+        assert_eq!(turned("0.16").unwrap(), plain);
+        assert_eq!(turned("0.17").unwrap_err().list[0].message, "the map is turned by 0.17 rad");
+    }
+
+    #[test]
+    fn a_threshold_that_takes_unexplored_cells_for_floor_is_a_warning() {
+        let image = b"P2 3 2 255\n254 0 205\n0 254 205\n";
+        let warnings = |more: &str| {
+            let text = format!("{YAML}{more}");
+            let (_, warnings) = super::read("map.yaml", &text, |_| Ok(image.to_vec())).unwrap();
+            warnings.map(|found| (found.list.len(), found.list[0].message.clone(), found.list[0].line))
+        };
+        assert_eq!(warnings(""), None);
+        let message = "2 cells of grey 205 count as floor".to_owned();
+        assert_eq!(warnings("free_thresh: 0.25\n"), Some((1, message, 4)));
+    }
+
+    #[test]
+    fn a_png_picture_gives_the_map_of_a_pgm_picture() {
+        let png = png::picture((3, 2), 8, 0, &[], &[0, 254, 0, 205, 0, 0, 254, 205]);
+        let pgm = b"P2 3 2 255\n254 0 205\n0 254 205\n";
+        assert_eq!(read(YAML, &png).unwrap(), read(YAML, pgm).unwrap());
+        let cut = read(YAML, &png[..40]).unwrap_err().list[0].message.clone();
+        assert!(cut.starts_with("`x.pgm`: the PNG picture is cut off or damaged"), "{cut}");
+    }
+
+    #[test]
     fn invalid_pictures_are_rejected() {
         let wrong = |image: &[u8]| read(YAML, image).unwrap_err().list[0].message.clone();
-        assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is not a PGM picture: it begins with neither P2 nor P5");
+        assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is neither a PGM nor a PNG picture");
         assert_eq!(wrong(b"P5 2"), "`x.pgm`: its height is missing or no whole number");
         assert_eq!(wrong(b"P5 2 2 0\n"), "`x.pgm`: its maximum value is 0, but PGM has 1 to 65535");
         assert_eq!(wrong(b"P5 2 2 255\nabc"), "`x.pgm`: it ends after 3 of 4 pixels");

@@ -3,7 +3,6 @@
 mod files;
 mod plan;
 mod plugin;
-mod png;
 mod testbed;
 
 use std::path::Path;

@@ -10,21 +10,27 @@ use super::{
     files::{Destination, NewFile},
     plan::{self, PlanError, Size},
 };
-use crate::quantity::{parse_length, parse_share};
+use crate::{
+    quantity::{parse_length, parse_share},
+    testbed_file,
+};
 
-/// Make a testbed on a floor plan, or in a small building
+/// Make a testbed on a floor plan, on a map, or in a small building
 ///
 /// Writes a map, and a testbed file with three robots, four radio units and three servers. Robots walk over floor that they
 /// can reach, and navigation runs in the cloud. Files that exist are never overwritten.
 ///
 /// A floor plan is a PNG or PGM picture, seen from above, dark where walls are. Doors must be gaps. Floor outside the walls
 /// does not count if the walls enclose the rest.
+///
+/// A map is that of ROS's map_server. What it does not know is no floor.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra new testbed demo                                           a corridor and two rooms
   cotorra new testbed office --floor-plan plan.png --width 30m       the whole picture is 30 m wide
   cotorra new testbed office --floor-plan plan.png --scale 5cm       a pixel is 5 cm wide
+  cotorra new testbed office --map ~/maps/office.yaml                the map of a robot's SLAM
   cotorra new testbed office --floor-plan plan.png --width 30m --dry-run")]
 pub struct TestbedArgs {
     /// The new folder, whose name becomes the testbed's
@@ -42,6 +48,9 @@ pub struct TestbedArgs {
     /// Share of black from which a pixel is a wall; white is 0%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, default_value = "50%", requires = "floor_plan")]
     pub threshold: Probability,
+    /// A map that ROS's map_server serves, such as map_saver writes
+    #[arg(long, value_name = "YAML", conflicts_with = "floor_plan")]
+    pub map: Option<PathBuf>,
     /// Only say what would be written
     #[arg(short = 'n', long)]
     pub dry_run: bool,
@@ -81,9 +90,10 @@ pub struct Declared<'a> {
 }
 
 /// Returns the files, and what the user should know about them.
-pub fn testbed(args: &TestbedArgs) -> Result<(Vec<NewFile>, String), TestbedError> {
+pub fn testbed(args: &TestbedArgs) -> miette::Result<(Vec<NewFile>, String)> {
     let size = args.scale.map(Size::Pixel).or(args.width.map(Size::Width));
     let (grid, is_open) = match (&args.floor_plan, size) {
+        _ if let Some(map) = &args.map => (testbed_file::load_map(map)?, false),
         (Some(path), Some(size)) => {
             let read = plan::read(path, size, args.threshold);
             let plan = read.map_err(|reason| TestbedError::Plan { path: path.clone(), reason })?;
@@ -113,8 +123,10 @@ pub fn files(
     let radio_units = floor.centres(CHANNELS.len());
     let map = format!(
         "# The map of ROS's map_server: black is occupied, white is free, grey is unknown.\nimage: map.pgm\n\
-         resolution: {}\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-        grid.resolution()
+         resolution: {}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        grid.resolution(),
+        grid.origin().x,
+        grid.origin().y
     );
     let files = vec![
         NewFile::new("testbed.yaml", text(name, &walks, &radio_units, plugin)),
@@ -303,6 +315,30 @@ mod tests {
             let testbed = cotorra_testbed_file::load(folder.path().join("testbed.yaml")).unwrap();
             assert_eq!((testbed.name.as_str(), testbed.plugins[0].id.as_str()), (name, name));
         }
+    }
+
+    #[test]
+    fn nothing_of_a_testbed_is_where_its_map_knows_nothing() {
+        // A room of 5 m × 6 m, beside as much that was not explored.
+        let (width, height) = (100, 60);
+        let cell = |at: usize| match (at % width, at / width) {
+            (50.., _) => Cell::Unknown,
+            (0 | 49, _) | (_, 0 | 59) => Cell::Occupied,
+            _ => Cell::Free,
+        };
+        let origin = Position::new(-12.25, 3.5);
+        let grid = OccupancyGrid::new(width, height, 0.1, origin, (0..width * height).map(cell).collect());
+        let grid = grid.unwrap();
+        let (files, _) = files("explored", &grid, None).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        Destination::new(folder.path()).write(&files).unwrap();
+        let testbed = cotorra_testbed_file::load(folder.path().join("testbed.yaml")).unwrap();
+        assert!(testbed.map.as_ref() == Some(&grid));
+        let waypoints = testbed.walks.iter().flat_map(|walk| walk.waypoints.iter().copied());
+        let units = testbed.graph.nodes.iter().filter_map(|node| node.position);
+        let places: Vec<_> = waypoints.chain(units).collect();
+        assert!(places.len() > 2 * ROBOTS + CHANNELS.len());
+        assert!(places.iter().all(|at| grid.at(*at) == Cell::Free), "{places:?}");
     }
 
     #[test]
