@@ -945,7 +945,7 @@ record! {
         migration_cost: Amount = 0,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
-        /// Speed of its CPUs, as a multiple of that on which demands were measured, in virtual time: docs/use/load.md.
+        /// Speed of its CPUs, as a multiple of that on which demands were measured: docs/use/load.md.
         speed: Spanned<Amount> = 1,
         /// The agent that starts VNFs on the real machine.
         agent: Option<Spanned<AgentId>>,

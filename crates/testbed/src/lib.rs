@@ -9,6 +9,7 @@ mod api;
 mod border;
 mod capture;
 mod clock;
+mod computed;
 mod core;
 mod domain;
 mod error;

@@ -6,7 +6,7 @@ use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, Sensor
 use cotorra_plugin::{
     Actions, Plugin,
     convert::{from_pose, to_twist},
-    vnf,
+    vnf::{self, Answer},
     wire::{Headway, NavigationPacket, PositionPacket, WireError},
 };
 
@@ -136,21 +136,27 @@ fn context(packet: &PositionPacket) -> RobotContext {
     }
 }
 
-/// Serves a robot on that socket until the process ends; what a user should know goes to standard error.
+/// Serves a robot on that socket until the process ends, with answers that `send` sends; what a user should know goes to
+/// standard error.
 ///
 /// # Errors
 /// Errors from which the socket cannot recover.
-pub fn serve(mut navigation: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
+pub fn serve(
+    mut navigation: NavigationVnf,
+    socket: &UdpSocket,
+    send: impl FnMut(Answer<'_>),
+) -> io::Result<Infallible> {
     let mut standstill: Option<String> = None;
     vnf::log(format_args!("navigating `{}`", navigation.robot));
-    vnf::serve(socket, |datagram, answer| {
+    let answer = |datagram: &[u8], answer: &mut Vec<u8>| {
         let done = navigation.answer(datagram, answer);
         if navigation.standstill() != standstill.as_deref() {
             standstill = navigation.standstill().map(str::to_owned);
             vnf::log(format_args!("{}", standstill.as_deref().unwrap_or("the way is open again")));
         }
         done
-    })
+    };
+    vnf::serve(socket, answer, send)
 }
 
 #[cfg(test)]
@@ -263,7 +269,7 @@ mod tests {
         robot.connect(server.local_addr().unwrap()).unwrap();
         let vnf = vnf(Position::new(9.0, 2.0));
         // Runs until the test's process ends, as it does in a VNF.
-        std::thread::spawn(move || serve(vnf, &server));
+        std::thread::spawn(move || serve(vnf, &server, vnf::at_once(&server)));
         let mut received = [0; 256];
         for sequence in 0..3 {
             robot.send(b"noise").unwrap();

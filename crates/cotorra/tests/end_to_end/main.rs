@@ -12,6 +12,7 @@ mod capture;
 mod chain;
 mod clients;
 mod command_line;
+mod computing;
 mod confinement;
 mod congestion;
 mod containers;

@@ -59,6 +59,11 @@ impl Load {
         Duration::from_nanos((self.used >> POINT) as u64)
     }
 
+    /// Returns the load of an instance that used that CPU time, of which nothing else is known.
+    pub fn of_cpu_time(time: Duration) -> Self {
+        Self { used: time.as_nanos() << POINT, ..Self::default() }
+    }
+
     /// Adds what another instance did.
     pub fn add(&mut self, other: &Self) {
         let Self { arrived, served, dropped, served_demand, in_system, most_requests, used } = other;

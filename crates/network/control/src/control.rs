@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_engine::{Engine, InstanceWaits};
+use cotorra_engine::{Engine, InstanceWaits, VnfComputed};
 use cotorra_fabric::{Fabric, PinnedPath};
 use cotorra_graph::{
     Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, MapReservation, NodeId, PathKind,
@@ -428,6 +428,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// Returns for how long instances of VNFs have waited for a processor so far, as far as the engine knows.
     pub fn processor_waits(&self) -> Vec<InstanceWaits> {
         self.vim.processor_waits()
+    }
+
+    /// Returns what instances with demands have computed so far, as far as the engine knows.
+    pub fn computed(&self) -> Vec<VnfComputed> {
+        self.vim.computed()
     }
 
     /// Stops every VNF and waits for their ends.

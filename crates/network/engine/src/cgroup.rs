@@ -1,10 +1,11 @@
 //! Limits VNFs in CPU, memory and processes by cgroups, version 2 or 1, if this process may create them.
 //!
-//! A run's groups are named `cotorra-<pid>/<instance>`, so that the leftovers of a killed run can be found: their process
-//! no longer exists. They are at the root of the hierarchy, which root may change, or in a group that systemd delegated to
-//! the run's user.
+//! A run's groups are named `cotorra-<pid>/<instance>`, or `cotorra-<pid>/node-<node>/<instance>` if the instances of a node
+//! share its CPUs. The leftovers of a killed run can therefore be found: their process no longer exists. They are at the
+//! root of the hierarchy, which root may change, or in a group that systemd delegated to the run's user.
 
 use std::{
+    collections::BTreeMap,
     fs, io,
     iter::successors,
     os::unix::fs::MetadataExt,
@@ -12,6 +13,8 @@ use std::{
     thread,
     time::Duration,
 };
+
+use cotorra_graph::NodeId;
 
 use crate::engine::InstanceId;
 
@@ -22,6 +25,11 @@ const SUBTREE_CONTROL: &str = "cgroup.subtree_control";
 /// Name of the group of cotorra itself among those of a run in a delegated group.
 const CORE: &str = "core";
 const CPU_PERIOD_US: f64 = 100_000.0;
+/// Period of limits where instances share their node's CPUs. The shorter it is, the less they use more CPUs than they have
+/// at a time, and then stand still.
+const SHARED_CPU_PERIOD_US: f64 = 10_000.0;
+/// Least quota of a period that the kernel takes.
+const LEAST_QUOTA_US: f64 = 1000.0;
 /// Most time of a run's real-time threads per second, µs. The kernel has 950,000 for all groups together, and other runs
 /// need their share.
 const REAL_TIME_US: u64 = 100_000;
@@ -84,6 +92,8 @@ impl Hierarchy {
 pub struct Cgroups {
     hierarchy: Hierarchy,
     name: String,
+    /// CPUs of the nodes whose instances share them.
+    shared: BTreeMap<NodeId, f64>,
 }
 
 impl Cgroups {
@@ -132,21 +142,68 @@ impl Cgroups {
         let missing = || io::Error::new(io::ErrorKind::NotFound, "no cpu and memory controllers");
         let hierarchy =
             Hierarchy::find(root).ok_or_else(missing).map_err(at("look for controllers in", root))?;
-        let groups = Self { hierarchy, name: format!("{PREFIX}{}", std::process::id()) };
-        for path in groups.paths() {
-            fs::create_dir_all(&path).map_err(at("make the cgroup", &path))?;
-            if matches!(groups.hierarchy, Hierarchy::V2(_)) {
-                let control = path.join(SUBTREE_CONTROL);
-                fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
-                if let Err(error) = fs::write(&control, "+pids") {
-                    tracing::info!("VNFs may have any number of processes: {}: {error}", control.display());
-                }
-            }
-        }
+        let name = format!("{PREFIX}{}", std::process::id());
+        let groups = Self { hierarchy, name, shared: BTreeMap::new() };
+        groups.paths().iter().try_for_each(|path| groups.make_parent(path))?;
         if let Hierarchy::V1 { cpu, .. } = &groups.hierarchy {
             allow_real_time(&cpu.join(&groups.name), REAL_TIME_US);
         }
         Ok(groups)
+    }
+
+    /// Lets the instances on each of these nodes share so many CPUs, above 0, from their next start on.
+    #[must_use]
+    pub fn with_shared_cpus(mut self, shared: BTreeMap<NodeId, f64>) -> Self {
+        self.shared = shared;
+        self
+    }
+
+    /// Makes a group that has groups in it.
+    fn make_parent(&self, path: &Path) -> Result<(), CgroupError> {
+        fs::create_dir_all(path).map_err(at("make the cgroup", path))?;
+        if matches!(self.hierarchy, Hierarchy::V2(_)) {
+            let control = path.join(SUBTREE_CONTROL);
+            fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
+            if let Err(error) = fs::write(&control, "+pids") {
+                tracing::info!("VNFs may have any number of processes: {}: {error}", control.display());
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the group in which a node's instances are, in a tree.
+    fn parent(&self, tree: &Path, node: &NodeId) -> PathBuf {
+        let run = tree.join(&self.name);
+        if self.shared.contains_key(node) { run.join(format!("node-{node}")) } else { run }
+    }
+
+    fn group(&self, tree: &Path, node: &NodeId, instance: InstanceId) -> PathBuf {
+        self.parent(tree, node).join(instance.0.to_string())
+    }
+
+    /// Limits the CPUs of a group.
+    fn limit_cpus(&self, group: &Path, cpus: f64, period_us: f64) -> Result<(), CgroupError> {
+        let quota = (cpus * period_us).max(LEAST_QUOTA_US) as u64;
+        match self.hierarchy {
+            Hierarchy::V2(_) => set(group.join("cpu.max"), format!("{quota} {period_us}")),
+            Hierarchy::V1 { .. } => {
+                set(group.join("cpu.cfs_period_us"), format!("{period_us}"))?;
+                set(group.join("cpu.cfs_quota_us"), quota.to_string())
+            }
+        }
+    }
+
+    /// Makes the group of a node whose instances share its CPUs. Groups in it have equal weights, so that each gets what it
+    /// wants, or as much as any other.
+    fn make_node(&self, node: &NodeId, cpus: f64) -> Result<(), CgroupError> {
+        for tree in self.hierarchy.trees() {
+            self.make_parent(&self.parent(tree, node))?;
+        }
+        let (Hierarchy::V2(cpu) | Hierarchy::V1 { cpu, .. }) = &self.hierarchy;
+        let group = self.parent(cpu, node);
+        self.limit_cpus(&group, cpus, period_us(cpus))?;
+        allow_real_time(&group, VNF_REAL_TIME_US);
+        Ok(())
     }
 
     fn paths(&self) -> Vec<PathBuf> {
@@ -160,21 +217,28 @@ impl Cgroups {
     pub fn limit(
         &self,
         instance: InstanceId,
+        node: &NodeId,
         cpus: f64,
         memory_bytes: u64,
     ) -> Result<Vec<PathBuf>, CgroupError> {
+        let (cpus, period_us) = match self.shared.get(node) {
+            Some(&all) => {
+                self.make_node(node, all)?;
+                // Version 1 rejects a limit above that of the group around it.
+                let cpus = cpus.min(all);
+                (cpus, period_us(cpus))
+            }
+            None => (cpus, CPU_PERIOD_US),
+        };
         let mut procs = Vec::new();
-        for path in self.paths().into_iter().map(|p| p.join(instance.0.to_string())) {
+        for path in self.hierarchy.trees().into_iter().map(|tree| self.group(tree, node, instance)) {
             fs::create_dir_all(&path).map_err(at("make the cgroup", &path))?;
             procs.push(path.join("cgroup.procs"));
         }
-        let quota = (cpus * CPU_PERIOD_US).max(1000.0) as u64;
-        let set =
-            |path: PathBuf, value: String| fs::write(&path, value).map_err(at("set the limit in", &path));
         match &self.hierarchy {
             Hierarchy::V2(root) => {
-                let group = root.join(&self.name).join(instance.0.to_string());
-                set(group.join("cpu.max"), format!("{quota} {CPU_PERIOD_US}"))?;
+                let group = self.group(root, node, instance);
+                self.limit_cpus(&group, cpus, period_us)?;
                 set(group.join("memory.max"), memory_bytes.to_string())?;
                 if group.join("memory.swap.max").exists() {
                     set(group.join("memory.swap.max"), "0".to_owned())?;
@@ -184,9 +248,8 @@ impl Cgroups {
                 }
             }
             Hierarchy::V1 { cpu, memory, pids } => {
-                let group = |tree: &Path| tree.join(&self.name).join(instance.0.to_string());
-                set(group(cpu).join("cpu.cfs_period_us"), format!("{CPU_PERIOD_US}"))?;
-                set(group(cpu).join("cpu.cfs_quota_us"), quota.to_string())?;
+                let group = |tree: &Path| self.group(tree, node, instance);
+                self.limit_cpus(&group(cpu), cpus, period_us)?;
                 allow_real_time(&group(cpu), VNF_REAL_TIME_US);
                 set(group(memory).join("memory.limit_in_bytes"), memory_bytes.to_string())?;
                 if let Some(pids) = pids {
@@ -197,16 +260,19 @@ impl Cgroups {
         Ok(procs)
     }
 
-    /// Returns the file with the time for which an instance's limit of the processor kept it from running.
-    pub(crate) fn cpu_stat(&self, instance: InstanceId) -> PathBuf {
+    /// Returns the files with the times for which limits of the processor kept an instance from running: its own, and that
+    /// of its node.
+    pub(crate) fn cpu_stats(&self, instance: InstanceId, node: &NodeId) -> Vec<PathBuf> {
         let (Hierarchy::V2(tree) | Hierarchy::V1 { cpu: tree, .. }) = &self.hierarchy;
-        tree.join(&self.name).join(instance.0.to_string()).join("cpu.stat")
+        let of_node = self.shared.contains_key(node).then(|| self.parent(tree, node));
+        let groups = [self.group(tree, node, instance)].into_iter().chain(of_node);
+        groups.map(|group| group.join("cpu.stat")).collect()
     }
 
     /// Removes an instance's group. Leaves one that still has processes to [`Cgroups::clean`].
-    pub fn release(&self, instance: InstanceId) {
-        for path in self.paths() {
-            let _ = fs::remove_dir(path.join(instance.0.to_string()));
+    pub fn release(&self, instance: InstanceId, node: &NodeId) {
+        for tree in self.hierarchy.trees() {
+            let _ = fs::remove_dir(self.group(tree, node, instance));
         }
     }
 
@@ -242,6 +308,15 @@ impl Cgroups {
         };
         groups.filter(is_left).map(|group| group.path()).collect()
     }
+}
+
+fn set(path: PathBuf, value: String) -> Result<(), CgroupError> {
+    fs::write(&path, value).map_err(at("set the limit in", &path))
+}
+
+/// Returns the period of a limit where instances share their node's CPUs.
+fn period_us(cpus: f64) -> f64 {
+    if cpus * SHARED_CPU_PERIOD_US >= LEAST_QUOTA_US { SHARED_CPU_PERIOD_US } else { CPU_PERIOD_US }
 }
 
 /// Whether a file of version 2 lists the controllers that limits need.
@@ -290,7 +365,7 @@ fn lives(pid: u32) -> bool {
 fn remove_group(group: &Path) -> io::Result<()> {
     for child in fs::read_dir(group)?.flatten() {
         if child.file_type().is_ok_and(|t| t.is_dir()) {
-            fs::remove_dir(child.path())?;
+            remove_group(&child.path())?;
         }
     }
     fs::remove_dir(group)
@@ -324,6 +399,10 @@ impl Drop for Cgroups {
 mod tests {
     use super::*;
 
+    fn node(name: &str) -> NodeId {
+        NodeId::new(name).unwrap()
+    }
+
     /// A folder with the layout of a v1 hierarchy.
     fn v1() -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
@@ -338,7 +417,7 @@ mod tests {
     fn limits_are_written_to_the_files_of_version_1() {
         let root = v1();
         let groups = Cgroups::under(root.path()).unwrap();
-        let procs = groups.limit(InstanceId(7), 1.5, 1 << 20).unwrap();
+        let procs = groups.limit(InstanceId(7), &node("edge"), 1.5, 1 << 20).unwrap();
         assert_eq!(procs.len(), 3);
         let read = |file: &str| {
             let group = format!("{PREFIX}{}/7", std::process::id());
@@ -348,6 +427,37 @@ mod tests {
         assert_eq!(read("cpu/cpu.cfs_quota_us"), "150000");
         assert_eq!(read("memory/memory.limit_in_bytes"), "1048576");
         assert_eq!(read("pids/pids.max"), "512");
+    }
+
+    #[test]
+    fn instances_on_a_node_with_shared_cpus_are_in_its_group() {
+        let root = v1();
+        let shared = BTreeMap::from([(node("edge"), 1.0)]);
+        let groups = Cgroups::under(root.path()).unwrap().with_shared_cpus(shared);
+        let run = root.path().join("cpu").join(format!("{PREFIX}{}", std::process::id()));
+        let read = |file: &str| fs::read_to_string(run.join(file)).unwrap();
+        for (instance, on, cpus) in [(1, "edge", 0.03), (2, "edge", 4.0), (3, "cloud", 4.0)] {
+            groups.limit(InstanceId(instance), &node(on), cpus, 1 << 20).unwrap();
+        }
+        let quota = |group: &str| {
+            [read(&format!("{group}/cpu.cfs_quota_us")), read(&format!("{group}/cpu.cfs_period_us"))]
+        };
+        assert_eq!(quota("node-edge"), ["10000", "10000"]);
+        assert_eq!(quota("node-edge/1"), ["3000", "100000"], "the kernel takes no less than 1 ms");
+        assert_eq!(quota("node-edge/2"), ["10000", "10000"], "no more than the node has");
+        assert_eq!(quota("3"), ["400000", "100000"]);
+        let stats = groups.cpu_stats(InstanceId(2), &node("edge"));
+        assert_eq!(stats, ["node-edge/2", "node-edge"].map(|group| run.join(group).join("cpu.stat")));
+        assert_eq!(groups.cpu_stats(InstanceId(3), &node("cloud")), [run.join("3/cpu.stat")]);
+    }
+
+    #[test]
+    fn groups_of_nodes_are_removed_with_those_in_them() {
+        let root = v1();
+        let group = root.path().join(format!("cpu/{PREFIX}11"));
+        fs::create_dir_all(group.join("node-edge/1")).unwrap();
+        remove_when_empty(&group).unwrap();
+        assert!(!group.exists());
     }
 
     #[test]

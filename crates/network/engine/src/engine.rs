@@ -2,7 +2,7 @@
 
 use cotorra_graph::{NodeId, Vnf};
 
-use crate::processor_waits::InstanceWaits;
+use crate::{computed::VnfComputed, processor_waits::InstanceWaits};
 
 /// The number of a VNF's instance, unique in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -51,6 +51,12 @@ pub trait Engine {
     /// Returns for how long instances have waited for a processor so far, also those that have ended. Leaves out those of
     /// which it cannot know.
     fn processor_waits(&self) -> Vec<InstanceWaits> {
+        Vec::new()
+    }
+
+    /// Returns what instances of bundled VNFs with a demand have computed so far, also those that have ended. Leaves out
+    /// those of which it cannot know.
+    fn computed(&self) -> Vec<VnfComputed> {
         Vec::new()
     }
 }

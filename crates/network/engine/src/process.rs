@@ -18,8 +18,10 @@ use parking_lot::Mutex;
 
 use crate::{
     cgroup::Cgroups,
+    computed::VnfComputed,
     engine::{Engine, EngineEvent, InstanceId, Outcome},
     processor_waits::{InstanceWaits, Reading, Readings, throttled_in},
+    tally::Tally,
 };
 
 /// Interval of checks whether a process has ended.
@@ -30,6 +32,9 @@ const GRACE_CHECKS: u32 = 10;
 const READING_CHECKS: u32 = 20;
 /// First line of a bundled VNF's output, once it serves.
 pub const READY: &str = "ready";
+
+/// Variable with the number of a replica's starts so far, from 1.
+pub const START: &str = "COTORRA_START";
 
 /// A process of a VNF, with its descendants.
 pub trait Process: Send {
@@ -94,8 +99,18 @@ pub struct ProcessEngine<L> {
     watched: BTreeMap<InstanceId, Watched>,
     events: mpsc::Receiver<EngineEvent>,
     report: mpsc::Sender<EngineEvent>,
-    /// Readings of all instances so far.
+    /// Readings of all instances without a demand so far. Others have waits of which the file says how long they are.
     waits: Vec<(VnfId, NodeId, Arc<Mutex<Readings>>)>,
+    /// Requests of VNFs with a demand so far.
+    computed: BTreeMap<(VnfId, NodeId), Computed>,
+    /// Number of starts of each replica of a VNF.
+    starts: BTreeMap<(VnfId, u32), u32>,
+}
+
+/// Requests of a VNF's instances on a node.
+struct Computed {
+    limit: f64,
+    tally: Arc<Mutex<Tally>>,
 }
 
 impl<L> std::fmt::Debug for ProcessEngine<L> {
@@ -126,7 +141,17 @@ impl<L: Launcher> ProcessEngine<L> {
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
         let (report, events) = mpsc::channel();
         let cgroups = cgroups.map(Arc::new);
-        Self { launcher, logs, cgroups, watched: BTreeMap::new(), events, report, waits: Vec::new() }
+        Self {
+            launcher,
+            logs,
+            cgroups,
+            watched: BTreeMap::new(),
+            events,
+            report,
+            waits: Vec::new(),
+            computed: BTreeMap::new(),
+            starts: BTreeMap::new(),
+        }
     }
 
     /// Returns the number of instances that were stopped and have not ended yet. The owner is woken when one has.
@@ -135,13 +160,16 @@ impl<L: Launcher> ProcessEngine<L> {
         self.watched.values().filter(is_stopping).count()
     }
 
-    fn command(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<Command, String> {
+    fn command(&mut self, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<Command, String> {
         if vnf.program == Program::RobotDriver {
             return Err("the robot's driver runs in the Robot Middleware".to_owned());
         }
         let mut command = self.launcher.command(vnf, replica, node)?;
         command.env("COTORRA_VNF", vnf.id.as_str()).env("COTORRA_NODE", node.as_str());
         command.env("COTORRA_REPLICA", replica.to_string());
+        let starts = self.starts.entry((vnf.id.clone(), replica)).or_default();
+        *starts += 1;
+        command.env(START, starts.to_string());
         Ok(command)
     }
 }
@@ -169,7 +197,7 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         command.stdin(Stdio::null());
         let procs = match &self.cgroups {
             Some(groups) => {
-                groups.limit(instance, vnf.most_cpus(), vnf.memory_bytes).map_err(|e| e.to_string())?
+                groups.limit(instance, node, vnf.most_cpus(), vnf.memory_bytes).map_err(|e| e.to_string())?
             }
             None => Vec::new(),
         };
@@ -178,7 +206,16 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let (node, vnf) = (node.clone(), vnf.clone());
         let cgroups = self.cgroups.clone();
         let readings = Arc::<Mutex<Readings>>::default();
-        self.waits.push((vnf.id.clone(), node.clone(), Arc::clone(&readings)));
+        if vnf.computing.is_none() {
+            self.waits.push((vnf.id.clone(), node.clone(), Arc::clone(&readings)));
+        }
+        let tally = vnf.computing.is_some().then(|| {
+            let key = (vnf.id.clone(), node.clone());
+            let limit = vnf.most_cpus();
+            let computed =
+                self.computed.entry(key).or_insert_with(|| Computed { limit, tally: Arc::default() });
+            Arc::clone(&computed.tally)
+        });
         let lives = Arc::new(());
         let alive = Arc::downgrade(&lives);
         let thread = thread::Builder::new()
@@ -191,17 +228,20 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
                 });
                 match launcher.launch(&vnf, replica, &node, command, procs) {
                     Ok(mut child) => {
-                        let cpu_stat = cgroups.as_ref().map(|groups| groups.cpu_stat(instance));
+                        let cpu_stats = cgroups.as_ref().map(|groups| groups.cpu_stats(instance, &node));
+                        let cpu_stats = cpu_stats.unwrap_or_default();
                         let read = |process: u32| {
-                            let reading = Reading::of(process, throttled_in(cpu_stat.clone()));
+                            let reading = Reading::of(process, throttled_in(&cpu_stats));
                             readings.lock().add(reading);
                         };
+                        let output =
+                            output.map_or(Output::OfBundled(instance, tally.as_deref()), Output::OfOthers);
                         watch(&mut *child, log, output, &stopped, &reporter, &read);
                     }
                     Err(error) => reporter.ended(format!("cannot start: {error}")),
                 }
                 if let Some(groups) = cgroups {
-                    groups.release(instance);
+                    groups.release(instance, &node);
                 }
                 drop(lives);
                 launcher.wake();
@@ -237,6 +277,16 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
             waits: readings.lock().waits(),
         };
         self.waits.iter().map(waits).collect()
+    }
+
+    fn computed(&self) -> Vec<VnfComputed> {
+        #[allow(clippy::disallowed_types, reason = "instances serve in real time")]
+        let now = std::time::Instant::now();
+        let so_far = |((vnf, node), its): (&(VnfId, NodeId), &Computed)| {
+            let (requests, ran) = its.tally.lock().so_far(now);
+            VnfComputed { vnf: vnf.clone(), node: node.clone(), limit: its.limit, ran, requests }
+        };
+        self.computed.iter().map(so_far).collect()
     }
 }
 
@@ -291,24 +341,38 @@ impl<F: Fn(Outcome)> Reporter<F> {
     }
 }
 
+/// Standard output of a process.
+enum Output<'a> {
+    /// That of a program of others, which goes to the log.
+    OfOthers(PipeReader),
+    /// That of a bundled program, which reports when it serves, and its requests if it has a demand.
+    OfBundled(InstanceId, Option<&'a Mutex<Tally>>),
+}
+
 /// Watches a process until it ends or is stopped. `read` reads the waits of a process that serves.
 fn watch(
     child: &mut dyn Process,
     mut log: File,
-    output: Option<PipeReader>,
+    output: Output<'_>,
     stopped: &mpsc::Receiver<()>,
     reporter: &Reporter<impl Fn(Outcome) + Sync>,
     read: &impl Fn(u32),
 ) {
     thread::scope(|scope| {
-        if let Some(mut output) = output {
-            reporter.ready();
-            scope.spawn(move || {
-                // A full disk must not block the VNF.
-                let _ = io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
-            });
-        } else if let Some(stdout) = child.stdout() {
-            scope.spawn(|| copy_output(stdout, log, reporter));
+        match output {
+            Output::OfOthers(mut output) => {
+                reporter.ready();
+                scope.spawn(move || {
+                    // A full disk must not block the VNF.
+                    let _ =
+                        io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
+                });
+            }
+            Output::OfBundled(instance, tally) => {
+                if let Some(stdout) = child.stdout() {
+                    scope.spawn(move || copy_output(stdout, log, reporter, instance, tally));
+                }
+            }
         }
         let mut checks: u32 = 0;
         loop {
@@ -336,15 +400,29 @@ fn watch(
     });
 }
 
-/// Copies the output of a bundled VNF to its log. The line [`READY`] reports that it serves.
-fn copy_output(stdout: impl io::Read, mut log: File, reporter: &Reporter<impl Fn(Outcome)>) {
+/// Copies the output of a bundled VNF to its log. The line [`READY`] reports that it serves. Lines of requests are counted.
+#[allow(clippy::disallowed_types, reason = "an instance serves in real time")]
+fn copy_output(
+    stdout: impl io::Read,
+    mut log: File,
+    reporter: &Reporter<impl Fn(Outcome)>,
+    instance: InstanceId,
+    tally: Option<&Mutex<Tally>>,
+) {
+    let tally = |change: &dyn Fn(&mut Tally)| tally.into_iter().for_each(|tally| change(&mut tally.lock()));
     for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+        if let Ok(line) = line.parse() {
+            tally(&|its| its.add(instance, line));
+            continue;
+        }
         if line == READY {
+            tally(&|its| its.begin(instance, std::time::Instant::now()));
             reporter.ready();
         }
         // A full disk must not stop the VNF.
         let _ = writeln!(log, "{line}");
     }
+    tally(&|its| its.end(instance, std::time::Instant::now()));
 }
 
 fn terminate(child: &mut dyn Process) {

@@ -1,5 +1,5 @@
 //! For how long VNFs waited for a processor although they were ready to run, as the kernel counts it (`/proc/PID/schedstat`).
-//! The machine was slow then, and not the VNF. Waits for a limit of the testbed file's own, `cpus`, do not count.
+//! The machine was slow then, and not the VNF. Waits for limits of the testbed file's own do not count.
 
 use std::{collections::BTreeMap, fs, io, path::PathBuf, time::Duration};
 
@@ -129,10 +129,10 @@ pub(crate) fn throttled(stat: &str) -> Option<Duration> {
         .or_else(|| value("throttled_time").map(Duration::from_nanos))
 }
 
-/// Reads the time of throttling from a file; none without the file.
-pub(crate) fn throttled_in(file: Option<PathBuf>) -> Duration {
-    let stat = file.and_then(|file| fs::read_to_string(file).ok());
-    stat.as_deref().and_then(throttled).unwrap_or_default()
+/// Reads the time of throttling from files; none of a file that is missing.
+pub(crate) fn throttled_in(files: &[PathBuf]) -> Duration {
+    let stats = files.iter().filter_map(|file| fs::read_to_string(file).ok());
+    stats.filter_map(|stat| throttled(&stat)).sum()
 }
 
 #[cfg(test)]

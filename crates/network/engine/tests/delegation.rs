@@ -14,6 +14,7 @@ use std::{
 };
 
 use cotorra_engine::{Cgroups, InstanceId};
+use cotorra_graph::NodeId;
 
 /// Makes the process the ordinary user's run of a test.
 const HELPER: &str = "COTORRA_TEST_DELEGATION";
@@ -66,13 +67,14 @@ fn a_delegated_group_limits_shared_memory() {
         return;
     }
     let groups = Cgroups::new().unwrap();
+    let node = NodeId::new("edge").unwrap();
     let share = |instance: u64, bytes: u64| {
-        let procs = groups.limit(InstanceId(instance), 1.0, LIMIT).unwrap();
+        let procs = groups.limit(InstanceId(instance), &node, 1.0, LIMIT).unwrap();
         let [procs] = &*procs else { panic!("{procs:?}") };
         let mut vnf = Command::new("sh");
         vnf.args(["-c", "echo $$ >$0 && exec python3 -c \"$@\"", procs.to_str().unwrap(), SHARE]);
         let status = vnf.arg(bytes.to_string()).status().unwrap();
-        groups.release(InstanceId(instance));
+        groups.release(InstanceId(instance), &node);
         status
     };
     assert!(share(1, LIMIT / 2).success());

@@ -7,7 +7,10 @@ use cotorra_engine::READY;
 use cotorra_graph::{NodeId, Testbed};
 use cotorra_plugin::vnf;
 
-use crate::localization::{LocalizationVnf, NotLocalized};
+use crate::{
+    computer::{Computer, NoDistribution},
+    localization::{LocalizationVnf, NotLocalized},
+};
 
 /// Path of the run's testbed file.
 pub const TESTBED: &str = "COTORRA_TESTBED";
@@ -37,6 +40,9 @@ pub enum VnfError {
     /// The robot is not localized.
     #[error(transparent)]
     NotLocalized(#[from] NotLocalized),
+    /// The VNF of this process has a demand that it cannot compute.
+    #[error(transparent)]
+    Demand(#[from] NoDistribution),
     /// The socket fails.
     #[error("port {port}: {source}")]
     Socket {
@@ -47,16 +53,21 @@ pub enum VnfError {
 }
 
 /// Navigates the robot named by `COTORRA_ROBOT` until the process ends. Calls `hasten` on the thread that answers: navigation works
-/// for microseconds, and must not wait for other work of the machine.
+/// for microseconds, and must not wait for other work of the machine. With a demand it works for longer, and waits like all
+/// others.
 ///
 /// # Errors
 /// [`VnfError`]; never returns otherwise.
 pub fn navigation(hasten: impl FnOnce()) -> Result<Infallible, VnfError> {
     let Assignment { testbed, robot, port } = assignment()?;
+    let computer = Computer::of(&testbed)?;
     let vnf = NavigationVnf::new(&testbed, &robot)?;
-    serve(port, |socket| {
-        hasten();
-        cotorra_brain::serve(vnf, socket)
+    serve(port, |socket| match computer {
+        Some(computer) => cotorra_brain::serve(vnf, socket, computer.start(socket)?),
+        None => {
+            hasten();
+            cotorra_brain::serve(vnf, socket, vnf::at_once(socket))
+        }
     })
 }
 
@@ -66,11 +77,16 @@ pub fn navigation(hasten: impl FnOnce()) -> Result<Infallible, VnfError> {
 /// [`VnfError`]; never returns otherwise.
 pub fn localization() -> Result<Infallible, VnfError> {
     let Assignment { testbed, robot, port } = assignment()?;
+    let computer = Computer::of(&testbed)?;
     let mut vnf = LocalizationVnf::new(&testbed, &robot, testbed.seed)?;
     // No higher priority: localization works for longer than others can be held up, and its answer time is not measured.
     serve(port, |socket| {
         vnf::log(format_args!("localizing `{}`", vnf.robot()));
-        vnf::serve(socket, |datagram, answer| vnf.answer(datagram, answer))
+        let answer = |datagram: &[u8], answer: &mut Vec<u8>| vnf.answer(datagram, answer);
+        match computer {
+            Some(computer) => vnf::serve(socket, answer, computer.start(socket)?),
+            None => vnf::serve(socket, answer, vnf::at_once(socket)),
+        }
     })
 }
 

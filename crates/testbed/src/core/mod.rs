@@ -42,6 +42,7 @@ use self::{
 };
 use crate::{
     border::{self, Border},
+    computed::ComputedSoFar,
     domain::Domains,
     given::Given,
     plugins::host::{Controlled, Fault},
@@ -410,6 +411,11 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Returns for how long instances of VNFs have waited for a processor so far, as far as the engine knows.
     pub(crate) fn processor_waits(&self) -> Vec<InstanceWaits> {
         self.control.processor_waits()
+    }
+
+    /// Returns what VNFs with demands have computed so far, as far as the engine knows.
+    pub(crate) fn computed(&self) -> ComputedSoFar {
+        ComputedSoFar::measured(&self.testbed, self.control.computed())
     }
 
     /// Reports the state of the network once more, and stops all VNFs.

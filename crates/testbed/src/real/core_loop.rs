@@ -105,6 +105,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         self.report.missed(self.plugins.missed());
         self.report.localized(self.core.localization_errors());
         self.report.waited(self.core.processor_waits());
+        self.report.computed(self.core.computed());
         (self.report, now, end)
     }
 

@@ -1,6 +1,6 @@
 //! Compares the CPUs that a testbed promises to programs of others with those of this machine.
 
-use cotorra_graph::{Program, Testbed};
+use cotorra_graph::{Node, Program, Testbed, Vnf};
 
 /// Returns a warning if programs of others start on this machine with more CPUs together than it has. They are slower then than
 /// the nodes that the testbed describes. Bundled VNFs take much less than they are promised.
@@ -20,15 +20,39 @@ pub fn missing_cpus(testbed: &Testbed, have: usize) -> Option<String> {
     })
 }
 
-/// Returns a warning if VNFs have demands, which no real VNF knows of.
-pub(super) fn unused_demands(testbed: &Testbed) -> Option<String> {
-    let names: Vec<_> =
-        testbed.vnfs().filter(|vnf| vnf.computing.is_some()).map(|vnf| format!("`{}`", vnf.id)).collect();
+/// Returns warnings of demands that are not computed as the testbed file describes. `have` is the number of CPUs that this
+/// process may use.
+pub(super) fn unmet_demands(testbed: &Testbed, have: usize) -> Vec<String> {
+    [demands_of_images(testbed), demands_above(testbed, have)].into_iter().flatten().collect()
+}
+
+/// Programs of others know of no demand.
+fn demands_of_images(testbed: &Testbed) -> Option<String> {
+    let images = testbed.vnfs().filter(|vnf| vnf.computing.is_some() && vnf.image.is_some());
+    let names: Vec<_> = images.map(|vnf| format!("`{}`", vnf.id)).collect();
     let (s, have) = if names.len() == 1 { ("", "has") } else { ("s", "have") };
     (!names.is_empty()).then(|| {
         format!(
-            "VNF{s} {} {have} a demand, which holds in virtual time only: with real packets, they take the time that they take",
+            "VNF{s} {} {have} an image and a demand, which only programs of cotorra compute: others take the time that they \
+             take",
             names.join(", ")
+        )
+    })
+}
+
+/// Emulated servers have the CPUs of this machine.
+fn demands_above(testbed: &Testbed, have: usize) -> Option<String> {
+    let on = |node: &Node| {
+        let here = testbed.vnfs().filter(|vnf| vnf.computing.is_some() && vnf.image.is_none());
+        let limits: f64 = here.filter(|vnf| vnf.node.all().contains(&node.id)).map(Vnf::most_cpus).sum();
+        node.capacity().map_or(0.0, |capacity| capacity.cpus).min(limits)
+    };
+    let emulated = testbed.graph.nodes.iter().filter(|node| node.real_server().is_none());
+    let used: f64 = emulated.map(on).sum();
+    (used > have as f64).then(|| {
+        format!(
+            "VNFs with a demand may use {used} CPUs together, and this machine has {have}: when they are busy, they wait for \
+             longer than on the nodes described"
         )
     })
 }
@@ -68,17 +92,42 @@ services:
         assert_eq!(missing_cpus(&two, 6), None);
     }
 
+    /// Returns the testbed with a demand of each VNF.
+    fn with_demands(vnfs: &str) -> Testbed {
+        let mut testbed = testbed(vnfs);
+        for vnf in &mut testbed.services[0].vnfs {
+            vnf.computing = Some(Box::new(Computing {
+                demand: Demand::Constant { time: Duration::from_millis(1) },
+                per_kb: Duration::ZERO,
+                scheduling: Scheduling::Shared,
+                backlog: Computing::BACKLOG,
+                warm_up: None,
+            }));
+        }
+        testbed
+    }
+
     #[test]
-    fn demands_get_a_warning_because_they_hold_in_virtual_time_only() {
-        let mut testbed = testbed("n: { command: [sleep], node: a }");
-        assert_eq!(unused_demands(&testbed), None);
-        testbed.services[0].vnfs[0].computing = Some(Box::new(Computing {
-            demand: Demand::Constant { time: Duration::from_millis(1) },
-            per_kb: Duration::ZERO,
-            scheduling: Scheduling::Shared,
-            backlog: Computing::BACKLOG,
-            warm_up: None,
-        }));
-        assert!(unused_demands(&testbed).unwrap().starts_with("VNF `n` has a demand, which"));
+    fn demands_of_images_get_a_warning() {
+        assert_eq!(demands_of_images(&with_demands("n: { command: [sleep], node: a }")), None);
+        let image = "n: { image: brain, node: a }";
+        assert_eq!(demands_of_images(&testbed(image)), None);
+        let warning = demands_of_images(&with_demands(image)).unwrap();
+        assert!(warning.starts_with("VNF `n` has an image and a demand, which"), "{warning}");
+    }
+
+    #[test]
+    fn demands_on_more_cpus_than_the_machine_has_get_a_warning() {
+        let vnf = |name: &str, node: &str, cpus: f64| {
+            format!("{name}: {{ command: [sleep], node: {node}, cpus: 1, cpu_limit: {cpus} }}")
+        };
+        let two = [vnf("n", "a", 6.0), vnf("m", "b", 3.5)].join(", ");
+        assert_eq!(demands_above(&testbed(&two), 1), None);
+        let warning = demands_above(&with_demands(&two), 9).unwrap();
+        assert!(warning.contains("9.5 CPUs together, and this machine has 9"), "{warning}");
+        assert_eq!(demands_above(&with_demands(&two), 10), None);
+        let one_node = with_demands(&[vnf("n", "a", 6.0), vnf("m", "a", 6.0)].join(", "));
+        assert_eq!(demands_above(&one_node, 8), None, "the node has 8");
+        assert!(demands_above(&one_node, 7).is_some());
     }
 }

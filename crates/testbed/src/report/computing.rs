@@ -1,4 +1,4 @@
-//! How busy computers were in virtual time, and for how long requests waited there, in a run's summary.
+//! How busy computers were, and for how long requests waited there, in a run's summary.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use cotorra_graph::{NodeId, VnfId, millis};
 use serde::Serialize;
 
 use super::times::Quantiles;
-use crate::virtual_time::{Computed, ComputedSoFar, UsedComputer};
+use crate::computed::{Computed, ComputedSoFar, UsedComputer};
 
 /// What VNFs with demands computed in a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]

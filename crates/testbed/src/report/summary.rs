@@ -35,7 +35,7 @@ use super::{
     vnf_waits::VnfWaits,
     void::Void,
 };
-use crate::virtual_time::ComputedSoFar;
+use crate::computed::ComputedSoFar;
 
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
@@ -100,7 +100,7 @@ pub struct Summary {
     /// Prices of what the run took, if the testbed file has a currency.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bill: Option<Bill>,
-    /// What VNFs with demands computed, in virtual time.
+    /// What VNFs with demands computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub computing: Option<ComputingSummary>,
     /// Instructions of each plug-in, those of the file first.

@@ -11,7 +11,7 @@ use cotorra_graph::{LinkId, LostAt, NodeId, ServiceId, ServiceTime, Testbed, Tim
 use serde::Serialize;
 
 use super::times::Quantiles;
-use crate::virtual_time::Computed;
+use crate::computed::Computed;
 
 /// Most samples of a part, and most samples above the target, from which quantiles are computed. Of more, every second,
 /// fourth and so on is used.

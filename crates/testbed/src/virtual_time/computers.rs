@@ -2,15 +2,15 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_computing::{Demands, Finished, Limits, Load, Server};
+use cotorra_computing::{Demands, Finished, Limits, Server};
 use cotorra_engine::InstanceId;
 use cotorra_graph::{
     Computing, CpuContext, Event, HardwareGraph, MachineContext, NodeId, NodeKind, Probability, ReadingTime,
     Stamped, Testbed, Timestamp, Vnf, VnfId, millis,
 };
-use cotorra_numbers::Gathered;
 
 use super::interference::Held;
+use crate::computed::{Computed, ComputedSoFar, UsedComputer};
 
 /// Interval of the contexts of servers that VNFs with demands can use, as agents of real servers report theirs.
 const CONTEXT_INTERVAL: Duration = Duration::from_secs(1);
@@ -20,44 +20,6 @@ pub(super) struct Answer {
     pub(super) held: Held,
     /// Delay after that.
     pub(super) later: Duration,
-}
-
-/// What a VNF computed on a node in a run.
-#[derive(Debug, Clone)]
-pub(crate) struct Computed {
-    pub(crate) vnf: VnfId,
-    pub(crate) node: NodeId,
-    /// Most CPUs that an instance uses.
-    pub(crate) limit: f64,
-    /// Time for which instances ran there.
-    pub(crate) ran: Duration,
-    pub(crate) load: Load,
-    /// Requests that an instance had when it stopped.
-    pub(crate) lost: u64,
-    /// CPU times of the answers on a CPU of the node alone, milliseconds in all.
-    pub(crate) computing_ms: f64,
-    /// Waits of the answers, milliseconds in all.
-    pub(crate) waited_ms: f64,
-    /// Each of these.
-    pub(crate) waiting_ms: Gathered,
-}
-
-/// What VNFs with demands computed in a run. Empty without any.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct ComputedSoFar {
-    /// All servers, and other nodes that VNFs used, by name.
-    pub(crate) nodes: Vec<UsedComputer>,
-    /// By VNF and node.
-    pub(crate) vnfs: Vec<Computed>,
-}
-
-/// How much VNFs used of a node's CPUs.
-#[derive(Debug, Clone)]
-pub(crate) struct UsedComputer {
-    pub(crate) node: NodeId,
-    pub(crate) cpus: f64,
-    pub(crate) speed: f64,
-    pub(crate) cpu_time: Duration,
 }
 
 /// A node's CPUs.
@@ -132,17 +94,9 @@ impl Computers {
         let limit = vnf.most_cpus();
         computer.server.start(now, id.0, Limits::new(computing, limit));
         self.instances.insert(id, Instance { node: node.clone(), vnf: vnf.id.clone(), demands, since: now });
-        self.computed.entry((vnf.id.clone(), node.clone())).or_insert_with(|| Computed {
-            vnf: vnf.id.clone(),
-            node: node.clone(),
-            limit,
-            ran: Duration::ZERO,
-            load: Load::default(),
-            lost: 0,
-            computing_ms: 0.0,
-            waited_ms: 0.0,
-            waiting_ms: Gathered::default(),
-        });
+        self.computed
+            .entry((vnf.id.clone(), node.clone()))
+            .or_insert_with(|| Computed::nothing(vnf.id.clone(), node.clone(), limit));
         Ok(())
     }
 

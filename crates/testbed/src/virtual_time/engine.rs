@@ -16,9 +16,10 @@ use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
 use super::{
-    computers::{Answer, ComputedSoFar, Computers},
+    computers::{Answer, Computers},
     interference::Held,
 };
+use crate::computed::ComputedSoFar;
 
 /// The state of a bundled VNF.
 #[derive(Clone)]

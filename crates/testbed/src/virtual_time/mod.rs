@@ -40,12 +40,9 @@ use self::{
     computers::Answer,
     interference::{Held, Interference},
 };
-pub(crate) use self::{
-    computers::{Computed, ComputedSoFar, UsedComputer},
-    engine::VirtualEngine,
-    network::VirtualNetwork,
-};
+pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
+    computed::ComputedSoFar,
     core::{Core, script::Script},
     domain::Domains,
     error::RunError,

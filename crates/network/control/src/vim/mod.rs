@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_engine::{Backoff, Engine, EngineEvent, InstanceId, InstanceWaits, Outcome};
+use cotorra_engine::{Backoff, Engine, EngineEvent, InstanceId, InstanceWaits, Outcome, VnfComputed};
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Nodes, Placement, Program, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
 };
@@ -429,6 +429,11 @@ impl<E: Engine> Vim<E> {
     /// Returns for how long instances have waited for a processor so far.
     pub fn processor_waits(&self) -> Vec<InstanceWaits> {
         self.engine.processor_waits()
+    }
+
+    /// Returns what instances with demands have computed so far.
+    pub fn computed(&self) -> Vec<VnfComputed> {
+        self.engine.computed()
     }
 
     /// Stops all instances and waits for their ends.

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_engine::{Engine, EngineEvent, InstanceId, InstanceWaits, ProcessEngine};
+use cotorra_engine::{Engine, EngineEvent, InstanceId, InstanceWaits, ProcessEngine, VnfComputed};
 use cotorra_graph::{AgentId, HardwareGraph, NodeId, Vnf};
 
 use super::{containers::Containers, launcher::NodeLauncher};
@@ -60,5 +60,9 @@ impl Engine for Engines {
     fn processor_waits(&self) -> Vec<InstanceWaits> {
         // Processes in containers are their engine's, and real servers wait as their machines do.
         self.local.processor_waits()
+    }
+
+    fn computed(&self) -> Vec<VnfComputed> {
+        self.local.computed()
     }
 }

@@ -20,6 +20,7 @@ pub(super) struct NodeLauncher {
     testbed: Arc<Testbed>,
     datapath: Arc<Datapath>,
     testbed_file: PathBuf,
+    seed: u64,
     confined: Confined,
     robots: BTreeMap<VnfId, NodeId>,
     messages: Sender<Message>,
@@ -31,12 +32,13 @@ impl NodeLauncher {
         testbed: Arc<Testbed>,
         datapath: Arc<Datapath>,
         testbed_file: PathBuf,
+        seed: u64,
         confined: Confined,
         messages: Sender<Message>,
         applications: Applications,
     ) -> Self {
         let robots = robots_by_vnf(&testbed);
-        Self { testbed, datapath, testbed_file, confined, robots, messages, applications }
+        Self { testbed, datapath, testbed_file, seed, confined, robots, messages, applications }
     }
 }
 
@@ -86,6 +88,7 @@ impl Launcher for NodeLauncher {
         // The file of this process, even if it was replaced on the disk since.
         let mut command = program_of_others("/proc/self/exe", &[]);
         command.args(["vnf", word]).env(cotorra_vnfs::TESTBED, &self.testbed_file);
+        command.env(cotorra_vnfs::SEED, self.seed.to_string());
         if let Some(robot) = self.robots.get(&vnf.id) {
             command.env(cotorra_vnfs::ROBOT, robot.as_str());
         }

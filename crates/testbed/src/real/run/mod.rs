@@ -15,6 +15,7 @@ mod wifi_plan;
 use std::{
     collections::BTreeMap,
     net::{SocketAddr, UdpSocket},
+    num::NonZero,
     path::Path,
     sync::{Arc, mpsc::Sender},
     thread,
@@ -44,7 +45,7 @@ use crate::{
     options::Options,
     real::{
         core_loop::{CoreLoop, receive},
-        cpus::unused_demands,
+        cpus::unmet_demands,
         leftovers::clean,
         robots::Masters,
     },
@@ -136,7 +137,8 @@ impl Run {
             core.tap_scans();
         }
         core.start(now());
-        if let Some(message) = unused_demands(&testbed) {
+        let have = thread::available_parallelism().map_or(1, NonZero::get);
+        for message in unmet_demands(&testbed, have) {
             tracing::warn!("{message}");
             core.observe(Stamped { at: now(), event: Event::Notice { message } });
         }

@@ -68,11 +68,13 @@ impl NodesUp {
             Arc::clone(testbed),
             Arc::clone(datapath),
             prepared.folder.testbed(),
+            prepared.seed,
             confined,
             network.messages.clone(),
             applications.clone(),
         );
         let cgroups = Cgroups::new().inspect_err(|error| warn_of_limits(testbed, error)).ok();
+        let cgroups = cgroups.map(|groups| groups.with_shared_cpus(shared_cpus(testbed)));
         let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.vnf_logs(), cgroups);
         let addresses = prepared.engines.clone();
         let containers = Containers::new(
@@ -146,9 +148,24 @@ fn open_platform(applications: &Applications, datapath: &Datapath) -> Result<Opt
     listener.map(Some).map_err(system(format!("open the port of ETSI MEC's services on `{node}`")))
 }
 
+/// Returns the CPUs of the emulated nodes, which their VNFs share if any has a demand.
+fn shared_cpus(testbed: &Testbed) -> BTreeMap<NodeId, f64> {
+    if testbed.vnfs().all(|vnf| vnf.computing.is_none()) {
+        return BTreeMap::new();
+    }
+    let emulated = testbed.graph.nodes.iter().filter(|node| node.real_server().is_none());
+    let cpus = |node: &Node| Some((node.id.clone(), node.capacity()?.cpus)).filter(|(_, cpus)| *cpus > 0.0);
+    emulated.filter_map(cpus).collect()
+}
+
 /// Says what limits VNFs without control groups, if there are any that these would limit.
 fn warn_of_limits(testbed: &Testbed, error: &CgroupError) {
     let is_command = |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.image.is_none();
+    if testbed.vnfs().any(|vnf| vnf.computing.is_some()) {
+        tracing::warn!(
+            "VNFs with a demand have no limit of CPUs, and those on one server use more CPUs together than it has: {error}"
+        );
+    }
     if testbed.vnfs().any(is_command) {
         tracing::warn!(
             "VNFs have no limit of CPUs, and `memory` limits the private data of each of their processes only, not shared \
