@@ -70,7 +70,7 @@ pub use report::{
 };
 pub use twin::{MaybeTwin, TwinError, beside_core, check_twin, distant};
 pub use virtual_time::{
-    Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
-    simulate_unrecorded, simulate_watched, time_control::Speed,
+    Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, first_requests,
+    is_same_subject, simulate, simulate_unrecorded, simulate_watched, time_control::Speed,
 };
 pub use wifi::{WIFI_FOLDERS, wifi_programs};

@@ -25,6 +25,7 @@ use crate::{exit::Status, logs, output, signals, table::Table, temporary::Tempor
 use node::{Interrupt, Message, Node};
 use request::Request;
 use times::Times;
+pub use times::in_ms;
 use write::Target;
 
 /// Requests that are measured.

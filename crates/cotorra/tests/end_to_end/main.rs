@@ -5,6 +5,7 @@ mod agents;
 mod api;
 mod approval;
 mod bench_image;
+mod bench_vnf;
 mod calibrate;
 mod camera;
 mod capture;

@@ -8,7 +8,10 @@ use crate::sys;
 ///
 /// The kernel's clock of a process has nanoseconds, and also counts threads that have ended. Children that have ended, and whose
 /// parent knows it, are counted in ticks.
-pub(crate) fn of_tree(process: u32) -> io::Result<Duration> {
+///
+/// # Errors
+/// The error of the system.
+pub fn cpu_time_of(process: u32) -> io::Result<Duration> {
     let mut used = of_process(process)?;
     let mut left = children(process)?;
     while let Some(child) = left.pop() {
@@ -75,7 +78,7 @@ mod tests {
         let script = format!("{burn}; sh -c '{burn}; read line'; read line; echo end");
         let mut shell = Command::new("sh").args(["-c", &script]).stdin(Stdio::piped()).spawn().unwrap();
         let own = || sys::cpu_time(shell.id().cast_signed()).unwrap();
-        let all = || of_tree(shell.id()).unwrap();
+        let all = || cpu_time_of(shell.id()).unwrap();
         // The child lives and waits, so that all of its time is beside the shell's own.
         while children(shell.id()).unwrap().is_empty() || all() - own() < own() / 4 {
             std::thread::yield_now();
@@ -83,6 +86,6 @@ mod tests {
         assert!(all() > own());
         shell.kill().unwrap();
         shell.wait().unwrap();
-        assert!(of_tree(shell.id()).is_err(), "it has ended");
+        assert!(cpu_time_of(shell.id()).is_err(), "it has ended");
     }
 }

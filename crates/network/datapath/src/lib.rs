@@ -51,6 +51,7 @@ pub use allowance::Allowance;
 pub use capability::{Capability, CapabilityState, probe, probe_confinement, simulated_radios};
 pub use clock::Clock;
 pub use confine::Confinement;
+pub use cpu_time::cpu_time_of;
 pub use datapath::{Datapath, Options};
 pub use engine::{DepartureSink, EventSink, Handle, SharedSources};
 pub use error::Error;

@@ -87,7 +87,7 @@ impl Child {
     /// # Errors
     /// The system's error, as if the program has ended, or if the kernel does not tell the children of a process.
     pub fn cpu_time(&self) -> io::Result<Duration> {
-        cpu_time::of_tree(self.id())
+        cpu_time::cpu_time_of(self.id())
     }
 
     /// Waits for the program to end. Its descendants end with it. A program killed by signal n has exit code 128 + n,

@@ -191,7 +191,7 @@ impl fmt::Display for Digest {
 
 impl Machine {
     /// Describes the machine that this process is on.
-    fn this() -> Self {
+    pub fn this() -> Self {
         let read = |path| fs::read_to_string(path).unwrap_or_default();
         let known = |text: &str| if text.is_empty() { "unknown".to_owned() } else { text.to_owned() };
         let information = read("/proc/cpuinfo");

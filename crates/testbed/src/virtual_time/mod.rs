@@ -6,6 +6,7 @@ mod computers;
 mod engine;
 mod interference;
 mod network;
+mod requests;
 mod run;
 pub(crate) mod time_control;
 mod udp;
@@ -32,6 +33,7 @@ use cotorra_traffic::{Measured, Sources};
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
     engine::{Mood, Serving},
+    requests::first_requests,
     run::{Watched, simulate, simulate_watched},
     unrecorded::{Unrecorded, UnrecordedRun, simulate_unrecorded},
 };
@@ -39,6 +41,7 @@ use self::{
     altered::{Forked, Forking},
     computers::Answer,
     interference::{Held, Interference},
+    requests::Requests,
 };
 pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
@@ -77,6 +80,8 @@ pub struct Simulation {
     network: VirtualNetwork,
     serving: Serving,
     interference: Interference,
+    /// Present if requests to a VNF are kept.
+    requests: Option<Requests>,
     traffic: Sources,
     host: PluginHost,
     locals: Locals,
@@ -209,6 +214,7 @@ impl Simulation {
             network,
             serving,
             interference: Interference::default(),
+            requests: None,
             traffic,
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
                 .with_limits(&testbed.plugins)
@@ -471,6 +477,9 @@ impl Simulation {
             };
             if self.interference.is_silent(&datagram.robot) {
                 continue;
+            }
+            if let Some(requests) = &mut self.requests {
+                requests.add(now, datagram.to.port(), &datagram.bytes);
             }
             self.send(now, (from, ROBOT_PORT), (to, datagram.to.port()), &datagram.bytes);
         }
