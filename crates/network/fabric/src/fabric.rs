@@ -10,7 +10,7 @@ mod sources;
 mod taps;
 
 use std::{
-    collections::{HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, VecDeque},
     sync::Arc,
     time::Duration,
 };
@@ -34,7 +34,7 @@ use crate::{
     pool::Pool,
     port::PortId,
     port_security::{ForgedFrames, Identity},
-    radio::{Arrival, Path, Radio},
+    radio::{Airtime, Arrival, Path, Radio},
     routes::{Path as Pinned, Routes, Target, Vertex},
     settings::{FabricError, Settings},
     tap::Tap,
@@ -502,6 +502,11 @@ impl Fabric {
     /// Returns ι(R) of every radio unit.
     pub fn radio_contexts(&self, now: Timestamp) -> Vec<RadioContext> {
         self.radio.contexts(now)
+    }
+
+    /// Returns the time that each robot's radio spent on frames so far.
+    pub fn airtimes(&self) -> BTreeMap<NodeId, Airtime> {
+        self.radio.airtimes()
     }
 
     /// Returns φ(r,R) of a robot for every radio unit of its network; empty for an unknown robot.

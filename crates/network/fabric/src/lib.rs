@@ -66,8 +66,8 @@ pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes}
 pub use port::PortId;
 pub use port_security::ForgedFrames;
 pub use radio::{
-    Antenna, Association, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report, Transmission,
-    sensitivity,
+    Airtime, Antenna, Association, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report,
+    Transmission, sensitivity,
 };
 pub use settings::{Carries, FabricError};
 pub use tap::{Passage, TapError, TapReader};

@@ -92,7 +92,9 @@ impl Radio {
         let reception = self.reception(now, path);
         let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
         self.fly(now, path, waiting, &exchange);
-        exchange.first + exchange.retries
+        let turn = exchange.first + exchange.retries;
+        self.count_turn(path, turn);
+        turn
     }
 
     fn send_group(
@@ -117,6 +119,7 @@ impl Radio {
             self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
         }
         self.lost.push(frame);
+        self.count_group(unit, first);
         first
     }
 

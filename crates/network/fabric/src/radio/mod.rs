@@ -13,6 +13,7 @@
 
 mod access;
 mod air;
+mod airtime;
 mod associations;
 mod attaching;
 mod beacons;
@@ -53,6 +54,7 @@ use cotorra_graph::{
 use cotorra_numbers::Draws;
 
 pub use self::{
+    airtime::Airtime,
     associations::Association,
     edca::Category,
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
@@ -195,6 +197,7 @@ struct RobotRadio {
     home: Option<RadioUnitIndex>,
     /// Signals of its last scan, updated by beacons, in the order of the network's radio units.
     heard: Vec<Option<Heard>>,
+    airtime: Airtime,
 }
 
 /// A frame in flight.
@@ -285,6 +288,7 @@ impl Radio {
                 elsewhere: None,
                 home: None,
                 heard: vec![None; units.len()],
+                airtime: Airtime::default(),
                 id: node.id.clone(),
             });
         }

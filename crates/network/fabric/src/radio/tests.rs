@@ -1,5 +1,6 @@
 //! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
+mod airtime;
 mod contention;
 mod exchange;
 mod foreign;

@@ -361,6 +361,10 @@ impl Radio {
         let waiting = &self.edca().foreign[radio].waiting[category];
         let sent: Vec<_> = waiting.iter().take(frames).map(Sent::of).collect();
         let Some(to) = waiting.front().map(|frame| frame.transmission.to) else { return };
+        if let Receiver::One(Antenna(to)) | Receiver::OneWithoutAnswer(Antenna(to)) = to {
+            let receiver = self.place_of(Emitter::Foreign(to));
+            self.count_received(receiver, now.since(ended.start));
+        }
         let receivers = match to {
             Receiver::All => 0..self.edca().foreign.len(),
             Receiver::One(Antenna(to)) | Receiver::OneWithoutAnswer(Antenna(to)) => to..to + 1,

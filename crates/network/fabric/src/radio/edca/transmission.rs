@@ -255,6 +255,8 @@ impl Radio {
 
     /// Decides who received a transmission, and what its sender does next.
     fn end_transmission(&mut self, channel: usize, ended: OnAir) {
+        let airtime = ended.data_ends.since(ended.start);
+        self.count_sent(self.place_of(ended.emitter), airtime);
         let content = match &ended.load {
             Load::Interference => {
                 return self.edca().end_interference(ended.emitter, ended.disturbed());
@@ -263,6 +265,11 @@ impl Radio {
             Load::Foreign(_) => return self.end_foreign(channel, ended),
             Load::Frames(content) => content,
         };
+        match content.flow {
+            Flow::Up(_) => {}
+            Flow::Down(robot) => self.count_received(Emitter::Robot(robot), airtime),
+            Flow::Group(unit) => self.count_group(unit, airtime),
+        }
         match (self.edca().path(content.flow), content.protects) {
             (None, _) => self.end_group(&ended, content),
             (Some(path), Some(protected)) if self.clears(&ended, path) => {
