@@ -15,6 +15,7 @@ use crate::{
     fixed_rate::FixedRate,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
+    power::{RobotPower, ServerPower},
     queue::QueueLimit,
     real_machine::{Gateway, Machine, RealRadio, RealServer},
     sensor::Sensor,
@@ -210,6 +211,9 @@ pub struct Robot {
     /// Its real radio, in a network whose radios are hardware.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<RealRadio>,
+    /// Its power; `None` if its energy is not counted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub power: Option<Box<RobotPower>>,
 }
 
 /// When a robot's sensors and position packets are due.
@@ -369,6 +373,9 @@ pub struct Server {
     pub capacity: Capacity,
     /// Price of a CPU for an hour, in the testbed's currency.
     pub cost: f64,
+    /// Price of an hour of CPU time that VNFs use, in the testbed's currency.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub used_cost: f64,
     /// Price of a GB of memory for an hour, in the testbed's currency.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub memory_cost: f64,
@@ -384,6 +391,9 @@ pub struct Server {
         skip_serializing_if = "Server::is_usual_speed"
     )]
     pub speed: f64,
+    /// Its power; `None` if its energy is not counted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub power: Option<Box<ServerPower>>,
     /// The real machine that it is; `None` for an emulated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub real: Option<RealServer>,

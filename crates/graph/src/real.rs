@@ -187,10 +187,12 @@ mod tests {
                 tier: Tier::Edge,
                 capacity,
                 cost: 1.0,
+                used_cost: 0.0,
                 memory_cost: 0.0,
                 migration_cost: 0.0,
                 reliability: 1.0,
                 speed: 1.0,
+                power: None,
                 real,
             }),
         )

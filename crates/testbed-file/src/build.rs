@@ -13,6 +13,7 @@ mod kobuki;
 mod links;
 mod nodes;
 mod plugins;
+mod power;
 mod queues;
 mod recordings;
 mod ros;

@@ -1,6 +1,7 @@
 //! Records of a testbed file, key by key. The JSON Schema, and so editors, show the documentation here.
 
 mod distributions;
+mod power;
 mod traffic;
 
 use std::{net::Ipv4Addr, time::Duration};
@@ -13,7 +14,7 @@ use cotorra_graph::{
     SensorId, ServiceId, Tier, TrafficId, VnfId, Volume, WifiStandard,
 };
 
-pub(crate) use self::{distributions::*, traffic::*};
+pub(crate) use self::{distributions::*, power::*, traffic::*};
 use crate::{
     image::{Device, Reference},
     walls::WallLoss,
@@ -619,6 +620,8 @@ record! {
         cpus: Amount = 2,
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
+        /// Its electric power. With it, the report has its energy: docs/use/energy.md.
+        power: Option<RobotPowerRecord>,
         ..whole: WholeRecord,
     }
 }
@@ -939,6 +942,8 @@ record! {
         memory: Bytes,
         /// Price of a CPU for an hour, in the file's `currency`.
         cost: Amount = 1,
+        /// Price of an hour of CPU time that VNFs use, in the file's `currency`, in virtual time: docs/use/bill.md.
+        used_cost: Amount = 0,
         /// Price of a GB of memory for an hour, in the file's `currency`.
         memory_cost: Amount = 0,
         /// Price of each instance of a VNF that comes to it after the start, in the file's `currency`.
@@ -947,6 +952,8 @@ record! {
         reliability: Spanned<Probability> = "100 %",
         /// Speed of its CPUs, as a multiple of that on which demands were measured: docs/use/load.md.
         speed: Spanned<Amount> = 1,
+        /// Its electric power. With it, the report has its energy: docs/use/energy.md.
+        power: Option<ServerPowerRecord>,
         /// The agent that starts VNFs on the real machine.
         agent: Option<Spanned<AgentId>>,
         /// The interface of this machine through which the real machine is reached, as `ip link` names it. Several real

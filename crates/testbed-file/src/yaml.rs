@@ -9,5 +9,7 @@ mod tree;
 
 pub use diagnostics::{Diagnostic, Diagnostics};
 pub(crate) use diagnostics::{Sink, Span};
-pub(crate) use quantity::{Angle, Bytes, Decibels, DecisionTime, Drift, Frequency, Metres, Speed};
+pub(crate) use quantity::{
+    Angle, Bytes, Decibels, DecisionTime, Drift, Frequency, Metres, Speed, WattHours, Watts,
+};
 pub(crate) use tree::{parse, shorten};

@@ -61,9 +61,10 @@ pub use real::{
     run::Run,
 };
 pub use report::{
-    Bill, ComputerSummary, ComputingSummary, DataTable, DomainBill, FEW_ROBOTS, Fidelity, FolderError,
-    ForgedSummary, GatewaySummary, Judged, Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts,
-    PartSummary, Place, Quantiles, RegionSummary, Report, RobotSummary, ServerBill, ServiceBill, ServiceKpis,
+    Battery, Bill, ComputerSummary, ComputingSummary, DataTable, DomainBill, DomainEnergy, EnergyBill,
+    EnergySummary, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged, Kept, LinkBill,
+    LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles, RadioEnergy, RegionSummary,
+    Report, RobotEnergy, RobotSummary, ServerBill, ServerEnergy, ServiceBill, ServiceEnergy, ServiceKpis,
     ServiceParts, ServiceSummary, StalenessRegret, Summary, Taken, Verdict, VnfComputing, Void, WORST_ROBOTS,
     by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file,
     write_samples,

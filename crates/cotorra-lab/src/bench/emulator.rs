@@ -426,10 +426,12 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         tier: Tier::Fog,
         capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
         cost: 0.0,
+        used_cost: 0.0,
         memory_cost: 0.0,
         migration_cost: 0.0,
         reliability: 1.0,
         speed: 1.0,
+        power: None,
         real: None,
     });
     let link = |a: NodeId, b: NodeId| Link {

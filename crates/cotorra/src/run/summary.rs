@@ -8,8 +8,8 @@ use cotorra_measurements::Location;
 use cotorra_numbers::median;
 use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{
-    FEW_ROBOTS, Finished, GatewaySummary, LocalizationSummary, Quantiles, RobotSummary, StalenessRegret,
-    Summary, WORST_ROBOTS, robots_by_name,
+    EnergySummary, FEW_ROBOTS, Finished, GatewaySummary, LocalizationSummary, Quantiles, RobotSummary,
+    StalenessRegret, Summary, WORST_ROBOTS, robots_by_name,
 };
 
 use crate::{
@@ -70,6 +70,9 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     }
     for forged in &summary.forged_sources {
         text += &format!("  {} {}\n", style("!").yellow(), forged.sentence());
+    }
+    for empty in summary.energy.iter().flat_map(EnergySummary::empty_batteries) {
+        text += &format!("  {} {empty}\n", style("!").yellow());
     }
     for fault in &summary.plugin_faults {
         text += &format!("  {} plug-in cut off: {fault}\n", style("!").red());
@@ -198,6 +201,9 @@ fn figures(summary: &Summary, several: bool) -> Table {
     }
     if let Some(bill) = &summary.bill {
         table.row(["bill".to_owned(), bill.sentence()]);
+    }
+    if let Some(energy) = &summary.energy {
+        table.row(["energy".to_owned(), energy.sentence()]);
     }
     let vnfs = || summary.computing.iter().flat_map(|computing| &computing.vnfs);
     let mut busiest: Vec<_> = vnfs().filter(|vnf| vnf.requests > 0).collect();

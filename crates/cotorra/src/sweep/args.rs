@@ -24,7 +24,8 @@ use crate::{approval::TrustArgs, duration::parse_duration, figures::FigureArgs};
 /// and 95 % confidence intervals), differences.csv (each combination less the first, over runs with the same seed), regions.csv (a row for each stretch of a service with one radio unit and one server)
 /// and sweep.svg. services.csv has a row for each robot and service of a run, service_cells.csv one for those of a combination, with means and
 /// intervals, and service_cells.tex is the same for a paper, in LaTeX. time_parts.csv has a row for each link and host of a
-/// run: what it added to service times above the target. traffic.csv has the goodput of each source of traffic of a run. With --keep samples, samples/ has every service time of each run.
+/// run: what it added to service times above the target. traffic.csv has the goodput of each source of traffic of a run,
+/// bill.csv its prices and energy.csv its energies. With --keep samples, samples/ has every service time of each run.
 ///
 /// On several machines, --shard runs a part of the sweep, and `cotorra sweep merge` joins the parts. --emit prints a job
 /// file for a scheduler that does both. docs/use/cluster.md explains it.

@@ -7,6 +7,7 @@ use std::{
 
 use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell, Verdicts};
 use cotorra_graph::{Natural, PluginId};
+use cotorra_testbed::DataTable;
 
 use crate::{
     figures::FigureArgs,
@@ -60,7 +61,8 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     text += &doubts(runs);
     text += &services(runs, &cells);
     text += &sources(runs, &cells);
-    text += &bill(runs, &cells);
+    text += &listed(runs.prices(&cells), axes.len() + 1, "bill.csv");
+    text += &listed(runs.powers(&cells), axes.len() + 1, "energy.csv");
     text += &differences(runs);
     if void > 0 {
         text += &format!("\n{}\n", words::logs());
@@ -100,13 +102,7 @@ fn services(runs: &Runs, cells: &[Cell]) -> String {
     let name = |its: &ServiceCell| format!("{} of {}", its.service, its.robot);
     let measured: BTreeSet<_> = all().filter(|its| its.runs > 0).map(name).collect();
     if measured.len() > 1 {
-        let by_service = runs.by_service(cells);
-        let listed = &by_service.rows()[..by_service.rows().len().min(LISTED + 1)];
-        text += &format!("\n{}", Table::of(listed, runs.axes.len() + 2).render("  "));
-        if by_service.rows().len() > LISTED + 1 {
-            let more = by_service.rows().len() - LISTED - 1;
-            text += &format!("  and {more} more in service_cells.csv\n");
-        }
+        text += &listed(Some(runs.by_service(cells)), runs.axes.len() + 2, "service_cells.csv");
     }
     let without: BTreeSet<_> = all().map(name).filter(|name| !measured.contains(name)).collect();
     if !without.is_empty() {
@@ -134,21 +130,14 @@ fn sources(runs: &Runs, cells: &[Cell]) -> String {
     }
 }
 
-/// Returns the table of prices; empty if there is no currency.
-fn bill(runs: &Runs, cells: &[Cell]) -> String {
-    let mut table = Table::new(&("<".repeat(runs.axes.len() + 1) + "><"));
-    let heads = ["price of", "per hour", ""].map(str::to_owned);
-    table.row(runs.axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
-    let rows = || cells.iter().flat_map(|cell| cell.bill.iter().map(move |its| (&cell.values, its)));
-    for (values, its) in rows().take(LISTED) {
-        let price = [its.of.clone(), its.per_hour.times(1.0), its.currency.clone()];
-        table.row(values.iter().cloned().chain(price));
-    }
-    let table = format!("\n{}", table.render("  "));
-    match rows().count() {
-        0 => String::new(),
-        all if all > LISTED => format!("{table}  and {} more in bill.csv\n", all - LISTED),
-        _ => table,
+/// Returns the first rows of a table, whose columns after the first `left` are numbers, and where the others are; empty without one.
+fn listed(table: Option<DataTable>, left: usize, others: &str) -> String {
+    let Some(table) = table else { return String::new() };
+    let rows = &table.rows()[..table.rows().len().min(LISTED + 1)];
+    let text = format!("\n{}", Table::of(rows, left).render("  "));
+    match table.rows().len() - rows.len() {
+        0 => text,
+        more => format!("{text}  and {more} more in {others}\n"),
     }
 }
 

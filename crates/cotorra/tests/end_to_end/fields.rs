@@ -64,8 +64,16 @@ traffic:
   pages: { on: fog-edge, protocol: tcp, transfers: { size: 20 kB, think: 1 s } }
 ";
 
+/// Prices, and powers by which a battery is empty within a second.
+const PRICED: [&str; 4] = [
+    "currency=EUR",
+    "nodes.edge.used_cost=1",
+    "nodes.edge.power.cost=0.25",
+    "nodes.r1.power={ idle: 15 W, driving: 40 W, radio: { idle: 0.8 W, sending: 2 W, receiving: 1 W }, battery: 0.001 Wh }",
+];
+
 /// Units by the suffix of a name.
-const UNITS: [(&str, &str); 12] = [
+const UNITS: [(&str, &str); 14] = [
     ("_mhz", "MHz"),
     ("_ns", "ns"),
     ("_ms", "ms"),
@@ -77,6 +85,8 @@ const UNITS: [(&str, &str); 12] = [
     ("_ppm", "ppm"),
     ("_m", "m"),
     ("_v", "V"),
+    ("_w", "W"),
+    ("_wh", "Wh"),
     ("bytes", "bytes"),
 ];
 /// Units of names without a suffix: those of poses, and bare numbers.
@@ -296,8 +306,9 @@ fn every_figure_is_documented_with_its_unit() {
     in_document(&summary["traffic"], used.entry("summary.json").or_default());
 
     let busy = out.path().join("busy");
-    let run = cotorra(["run", "--headless", "--simulate", "--until", "1s", "--set", "currency=EUR", "--out"])
+    let run = cotorra(["run", "--headless", "--simulate", "--until", "1s", "--out"])
         .arg(&busy)
+        .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
         .arg(project_file("testbeds/busy.yaml"))
         .output()
         .unwrap();
@@ -305,7 +316,7 @@ fn every_figure_is_documented_with_its_unit() {
     let folder = fs::read_dir(&busy).unwrap().next().unwrap().unwrap().path();
     let summary: Value =
         serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
-    for part in ["computing", "bill"] {
+    for part in ["computing", "bill", "energy"] {
         in_document(&summary[part], used.entry("summary.json").or_default());
     }
 

@@ -8,9 +8,9 @@ use cotorra_testbed::{Verdict, Void};
 use serde::Serialize;
 
 use super::{
-    bill::Price,
     column::{self, Column, service_time, total},
     measured::{Measured, MeasuredService},
+    spent::Spent,
 };
 use crate::outcome::Outcome;
 
@@ -46,7 +46,9 @@ pub struct Cell {
     /// The runs' goodputs of each source of traffic, bit/s.
     pub goodput_bps: Vec<(TrafficId, Interval)>,
     /// The runs' prices, if the testbed file has a currency.
-    pub bill: Vec<PriceCell>,
+    pub bill: Vec<SpentCell>,
+    /// The runs' energies, if the testbed file has the power of any node.
+    pub energy: Vec<SpentCell>,
 }
 
 /// Numbers of verdicts.
@@ -58,16 +60,16 @@ pub struct Verdicts {
     pub failed_runs: usize,
 }
 
-/// A price over the runs of a combination.
+/// A price or an energy over the runs of a combination.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PriceCell {
-    /// What costs it.
+pub struct SpentCell {
+    /// What spent it.
     pub of: String,
-    /// The currency.
-    pub currency: String,
-    /// The runs' prices.
-    pub price: Interval,
-    /// The runs' prices for each of their hours.
+    /// The currency, or `Wh`.
+    pub unit: String,
+    /// The runs' amounts.
+    pub amount: Interval,
+    /// The runs' amounts for each of their hours.
     pub per_hour: Interval,
 }
 
@@ -185,7 +187,8 @@ impl Cell {
             verdicts: Verdicts::of(runs.iter().map(|run| run.verdict())),
             services: ServiceCell::all(&runs),
             goodput_bps: goodputs(&runs),
-            bill: PriceCell::all(&runs),
+            bill: SpentCell::all(&runs, |run| &run.bill),
+            energy: SpentCell::all(&runs, |run| &run.energy),
         }
     }
 
@@ -253,22 +256,22 @@ impl ServiceCell {
     }
 }
 
-impl PriceCell {
-    /// Returns the prices over runs, in the order in which they first stand.
-    fn all(runs: &[&Measured]) -> Vec<Self> {
-        let mut all: Vec<Vec<&Price>> = Vec::new();
-        for price in runs.iter().flat_map(|run| &run.bill) {
-            let is_same = |its: &Price| (&its.of, &its.currency) == (&price.of, &price.currency);
+impl SpentCell {
+    /// Returns what runs spent, in the order in which it first stands.
+    fn all(runs: &[&Measured], of_run: fn(&Measured) -> &[Spent]) -> Vec<Self> {
+        let mut all: Vec<Vec<&Spent>> = Vec::new();
+        for spent in runs.iter().flat_map(|run| of_run(run)) {
+            let is_same = |its: &Spent| (&its.of, &its.unit) == (&spent.of, &spent.unit);
             match all.iter_mut().find(|same| is_same(same[0])) {
-                Some(same) => same.push(price),
-                None => all.push(vec![price]),
+                Some(same) => same.push(spent),
+                None => all.push(vec![spent]),
             }
         }
-        let cell = |same: &Vec<&Price>| {
+        let cell = |same: &Vec<&Spent>| {
             let over =
-                |of: fn(&Price) -> f64| Interval::of(&same.iter().map(|its| of(its)).collect::<Vec<_>>());
-            let (of, currency) = (same[0].of.clone(), same[0].currency.clone());
-            Some(Self { of, currency, price: over(|its| its.price)?, per_hour: over(|its| its.per_hour)? })
+                |of: fn(&Spent) -> f64| Interval::of(&same.iter().map(|its| of(its)).collect::<Vec<_>>());
+            let (of, unit) = (same[0].of.clone(), same[0].unit.clone());
+            Some(Self { of, unit, amount: over(|its| its.amount)?, per_hour: over(|its| its.per_hour)? })
         };
         all.iter().filter_map(cell).collect()
     }
@@ -426,6 +429,7 @@ mod tests {
         losses: Vec::new(),
         goodput_bps: Vec::new(),
         bill: Vec::new(),
+        energy: Vec::new(),
         regions: Vec::new(),
     };
 }

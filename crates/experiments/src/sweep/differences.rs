@@ -92,8 +92,10 @@ impl Compared {
             let is_share = bound.figure().unit == Unit::Share;
             Some(of(format!("{}: {bound}", its.service), is_share, judged.value))
         });
-        let bill = run.bill.iter().map(|its| of(format!("price of {}", its.of), false, Some(its.price)));
-        figures.into_iter().chain(bounds).chain(bill).collect()
+        let bill = run.bill.iter().map(|its| of(format!("price of {}", its.of), false, Some(its.amount)));
+        let energy =
+            run.energy.iter().map(|its| of(format!("energy of {}", its.of), false, Some(its.amount)));
+        figures.into_iter().chain(bounds).chain(bill).chain(energy).collect()
     }
 }
 

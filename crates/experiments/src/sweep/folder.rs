@@ -27,12 +27,15 @@ pub const FILES: [&str; 10] = [
 const KPIS: &str = "kpis.csv";
 /// A row per source of traffic of a run, with its goodput, where there are sources.
 const TRAFFIC: &str = "traffic.csv";
-/// A row per price of a run, where the testbed file has a currency.
-const BILL: &str = "bill.csv";
+/// A row per price of a run, and a row per price of a combination for papers, where the testbed file has a currency.
+const BILL: [&str; 2] = ["bill.csv", "bill.tex"];
+/// The same of energies, where the testbed file has the power of a node.
+const ENERGY: [&str; 2] = ["energy.csv", "energy.tex"];
 
 impl Runs {
     /// Writes [`FILES`] into the folder of a journal, `kpis.csv` where services have KPIs beside their targets,
-    /// `traffic.csv` where there are sources of traffic, and `bill.csv` where there is a currency. Of the samples there, only those of these runs stay.
+    /// `traffic.csv` where there are sources of traffic, `bill.csv` and `bill.tex` where there is a currency, and `energy.csv` and
+    /// `energy.tex` where a node has a power. Of the samples there, only those of these runs stay.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -65,8 +68,15 @@ impl Runs {
         if let Some(of_traffic) = tables::traffic(self) {
             csv(TRAFFIC, of_traffic)?;
         }
-        if let Some(of_bill) = tables::bill(self) {
-            csv(BILL, of_bill)?;
+        let spent = [
+            (BILL, tables::bill(self), self.prices(&cells)),
+            (ENERGY, tables::energy(self), self.powers(&cells)),
+        ];
+        for ([of_runs, for_papers], runs, cells) in spent {
+            if let (Some(runs), Some(cells)) = (runs, cells) {
+                csv(of_runs, runs)?;
+                write_file(path, for_papers, cells.to_latex())?;
+            }
         }
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         let measured = self.done.iter().filter(|done| done.outcome.measured().is_some());

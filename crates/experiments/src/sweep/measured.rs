@@ -5,8 +5,8 @@ use cotorra_testbed::{Judged, Kept, Quantiles, RegionSummary, ServiceSummary, Su
 use serde::{Deserialize, Serialize};
 
 use super::{
-    bill::Price,
     column::{Column, above_target, handover_gap, other, service_time, total},
+    spent::Spent,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
 
@@ -69,7 +69,10 @@ pub struct Measured {
     pub goodput_bps: Vec<(TrafficId, f64)>,
     /// Prices, that of everything first; none if the testbed file has no currency.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub bill: Vec<Price>,
+    pub bill: Vec<Spent>,
+    /// Energies, that of everything first; none if the testbed file has the power of no node.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub energy: Vec<Spent>,
     /// Stretches of services with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -172,10 +175,8 @@ impl Measured {
             time_parts: MeasuredPart::of(summary),
             losses: MeasuredLoss::of(summary),
             goodput_bps: summary.traffic.iter().map(|its| (its.source.clone(), its.goodput_bps)).collect(),
-            bill: summary
-                .bill
-                .as_ref()
-                .map_or_else(Vec::new, |bill| Price::all(bill, summary.duration_ms / 3_600_000.0)),
+            bill: Spent::prices(summary),
+            energy: Spent::energies(summary),
             regions: summary.regions.iter().map(region).collect(),
         }
     }

@@ -24,7 +24,6 @@
 //! ```
 
 mod axis;
-mod bill;
 mod cells;
 mod column;
 mod differences;
@@ -36,6 +35,7 @@ mod plan;
 mod runs;
 mod samples;
 mod shard;
+mod spent;
 mod tables;
 mod time_parts;
 
@@ -57,8 +57,7 @@ use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
-    bill::Price,
-    cells::{Cell, Interval, PriceCell, ServiceCell, Verdicts},
+    cells::{Cell, Interval, ServiceCell, SpentCell, Verdicts},
     differences::Difference,
     folder::FILES,
     measured::{Measured, MeasuredService, Region},
@@ -66,6 +65,7 @@ pub use self::{
     plan::Point,
     runs::{Done, Runs},
     shard::{InvalidShard, Shard},
+    spent::Spent,
 };
 use crate::{
     batch::{self, BatchError, Maker, SamplesFile, Wanted},

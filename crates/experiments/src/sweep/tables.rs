@@ -4,11 +4,12 @@ use cotorra_graph::TrafficId;
 use cotorra_testbed::{DataTable, Judged, Void, name_of_total};
 
 use super::{
-    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
-    bill::Price,
+    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, SpentCell,
+    Verdicts,
     column::Column,
     measured::passed,
     runs::Done,
+    spent::{Spent, unit_per_hour},
     time_parts::{MeasuredLoss, MeasuredPart},
 };
 use crate::cell::number;
@@ -132,19 +133,32 @@ pub(super) fn traffic(runs: &Runs) -> Option<DataTable> {
 
 /// Returns a row for each price of each run; `None` without any.
 pub(super) fn bill(runs: &Runs) -> Option<DataTable> {
-    measured(runs).find(|measured| !measured.bill.is_empty())?;
-    Some(rows(
+    let heads = ["currency", "price", "price_per_hour"];
+    spent(
         runs,
-        ["seed", "of", "currency"],
-        &["price", "price_per_hour"].map(str::to_owned),
-        |measured| {
-            let row = |its: &Price| {
-                let names = [its.of.clone(), its.currency.clone()];
-                names.into_iter().chain([its.price, its.per_hour].map(|price| number(Some(price)))).collect()
-            };
-            measured.bill.iter().map(row).collect()
-        },
-    ))
+        &heads,
+        |run| &run.bill,
+        |its| vec![its.unit.clone(), number(Some(its.amount)), number(Some(its.per_hour))],
+    )
+}
+
+/// Returns a row for each energy of each run; `None` without any.
+pub(super) fn energy(runs: &Runs) -> Option<DataTable> {
+    let heads = ["energy_wh", "mean_power_w"];
+    spent(runs, &heads, |run| &run.energy, |its| vec![number(Some(its.amount)), number(Some(its.per_hour))])
+}
+
+/// Returns a row for each amount that each run spent; `None` without any.
+fn spent(
+    runs: &Runs,
+    heads: &[&str],
+    of_run: fn(&Measured) -> &[Spent],
+    cells: fn(&Spent) -> Vec<String>,
+) -> Option<DataTable> {
+    measured(runs).find(|measured| !of_run(measured).is_empty())?;
+    let heads: Vec<_> = heads.iter().map(|head| (*head).to_owned()).collect();
+    let row = |its: &Spent| [its.of.clone()].into_iter().chain(cells(its)).collect();
+    Some(rows(runs, ["seed", "of"], &heads, |measured| of_run(measured).iter().map(row).collect()))
 }
 
 /// Returns the results of the runs that have some.
@@ -214,6 +228,36 @@ impl Runs {
     pub fn by_service(&self, cells: &[Cell]) -> DataTable {
         by_service(&self.axes, cells)
     }
+
+    /// Returns a row for each price of each combination, for each hour, rounded for readers, with confidence intervals; `None`
+    /// without any.
+    pub fn prices(&self, cells: &[Cell]) -> Option<DataTable> {
+        per_hour(&self.axes, cells, ["price of", "per hour"], |cell| &cell.bill)
+    }
+
+    /// Returns a row for each mean power of each combination, rounded for readers, with confidence intervals; `None` without any.
+    pub fn powers(&self, cells: &[Cell]) -> Option<DataTable> {
+        per_hour(&self.axes, cells, ["energy of", "mean power"], |cell| &cell.energy)
+    }
+}
+
+/// Returns a row for each amount that a combination spent in an hour; `None` without any.
+fn per_hour(
+    axes: &[Axis],
+    cells: &[Cell],
+    heads: [&str; 2],
+    of_cell: fn(&Cell) -> &[SpentCell],
+) -> Option<DataTable> {
+    cells.iter().find(|cell| !of_cell(cell).is_empty())?;
+    let names = axes.iter().map(|axis| axis.path()).chain(heads);
+    let mut table = DataTable::new(names).right_after(axes.len() + 1);
+    for cell in cells {
+        for its in of_cell(cell) {
+            let amount = format!("{} {}", its.per_hour.times(1.0), unit_per_hour(&its.unit));
+            table.row(of(&cell.values).chain([its.of.clone(), amount]));
+        }
+    }
+    Some(table)
 }
 
 /// Returns a row for each service of each combination, and one for all services in the total together if there are several.

@@ -615,7 +615,37 @@ fn prices_have_a_table_and_intervals_where_there_is_a_currency() {
         // A GB is eight gigabits: the link is full but for the first and the last moment.
         let full = rate * 3600.0 / 8e9 * 0.09;
         assert!((link.per_hour.mean / full - 1.0).abs() < 0.03, "{} for {full}", link.per_hour.mean);
-        assert!((link.price.mean * 100.0 - link.per_hour.mean).abs() < 1e-9, "a hundredth of an hour");
-        assert_eq!(all.price, link.price);
+        assert!((link.amount.mean * 100.0 - link.per_hour.mean).abs() < 1e-9, "a hundredth of an hour");
+        assert_eq!(all.amount, link.amount);
     }
+}
+
+#[test]
+fn energies_have_a_table_and_intervals_where_a_node_has_a_power() {
+    let text = "name: energy\ncurrency: EUR\nprobes: none\nnodes:\n  \
+                a: { kind: server, tier: fog, cpus: 1, memory: 1 GB, power: { idle: 50 W, full: 90 W, cost: 0.25 } }\n  \
+                b: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n\
+                links: [{ ends: [a, b], delay: 1 ms, rate: 10 Mbit/s }]\n\
+                traffic:\n  full: { from: a, to: b, protocol: udp, rate: 1 Mbit/s }\n";
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
+    let sweep =
+        Sweep::new("energy.yaml", text.to_owned(), Path::new("")).until(Some(Duration::from_secs(36)));
+    let sweep = sweep.axis("nodes.a.power.idle=50 W,70 W".parse().unwrap()).seeds(2);
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    runs.write(&folder).unwrap();
+    let table = fs::read_to_string(folder.path().join("energy.csv")).unwrap();
+    assert!(table.starts_with("nodes.a.power.idle,seed,of,energy_wh,mean_power_w,"), "{table}");
+    assert_eq!(table.matches(",server a,").count(), 2 * 2, "{table}");
+    let for_papers = fs::read_to_string(folder.path().join("energy.tex")).unwrap();
+    assert!(for_papers.contains("70 W & server a & 70.00 (n = 2) W"), "{for_papers}");
+    for (cell, watts) in runs.cells().iter().zip([50.0, 70.0]) {
+        let [all, server] = &cell.energy[..] else { panic!("{cell:?}") };
+        assert_eq!([&all.of, &server.of], ["everything", "server a"]);
+        assert_eq!((all.amount, server.unit.as_str()), (server.amount, "Wh"));
+        assert!((server.per_hour.mean - watts).abs() < 1e-9, "{server:?}");
+        let [_, energy] = &cell.bill[..] else { panic!("{cell:?}") };
+        assert!((energy.per_hour.mean - 0.25 * watts / 1000.0).abs() < 1e-12, "{energy:?}");
+    }
+    assert!(runs.differences().iter().any(|its| its.figure == "energy of server a" && its.mean > 0.0));
 }

@@ -156,14 +156,22 @@ figures! {
             "Price of the CPUs that the VNFs of a service take of servers; the highest of all samples.";
         Bill = "bill" of "SERVICE", Number, Lower, "bill",
             "Price of the CPUs, the memory and the migrations of the VNFs of a service, over the run.";
+        Energy = "energy" of "SERVICE", Energy, Lower, "energy_wh",
+            "Energy of the CPU time of a service's VNFs on servers and robots, over the run.";
         Handovers = "handovers" of "ROBOT", Number, Lower, "handovers", "Number of changes of attachment.";
         Detached = "detached" of "ROBOT", Millis, Lower, "detached_ms",
             "Time without a radio unit after the robot had lost one.";
         Driven = "driven" of "ROBOT", Metres, Neither, "driven_m", "Distance that the robot drove.";
         Blind = "blind" of "ROBOT", Metres, Lower, "blind_m", "Distance that it drove blind.";
         LongestBlind = "longest_blind" of "ROBOT", Metres, Lower, "longest_blind_m", "Its longest blind stretch.";
+        RobotEnergy = "robot_energy" of "ROBOT", Energy, Lower, "robot_energy_wh",
+            "Energy of the robot's base, computer and radio, over the run.";
+        BatteryLeft = "battery_left" of "ROBOT", Share, Higher, "battery_left",
+            "Share of the energy of the robot's battery that is left at the end of the run.";
         TotalBill = "total_bill" of "", Number, Lower, "total_bill",
             "Price of everything that the run took of servers and links.";
+        TotalEnergy = "total_energy" of "", Energy, Lower, "total_energy_wh",
+            "Energy of all servers and robots of which the testbed file says the power, over the run.";
         Duration = "duration" of "", Millis, Lower, "duration_ms", "Duration of the run.";
         Migrations = "migrations" of "", Number, Lower, "migrations",
             "Number of changes of VNFs' nodes after the start.";
@@ -189,6 +197,7 @@ impl Declared {
             Unit::BitRate => "_bps",
             Unit::Power => "_dbm",
             Unit::Speed => "_mps",
+            Unit::Energy => "_wh",
             Unit::Radians | Unit::TurningRate | Unit::Packets | Unit::Bytes | Unit::Share | Unit::Number => {
                 ""
             }

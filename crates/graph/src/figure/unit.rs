@@ -19,6 +19,8 @@ pub enum Unit {
     BitRate,
     /// dBm.
     Power,
+    /// Watt hours.
+    Energy,
     /// Packets.
     Packets,
     /// Bytes.
@@ -41,6 +43,7 @@ impl Unit {
             Self::TurningRate => "rad/s",
             Self::BitRate => "bit/s",
             Self::Power => "dBm",
+            Self::Energy => "Wh",
             Self::Packets => "packets",
             Self::Bytes => "bytes",
             Self::Share | Self::Number => "",
@@ -60,6 +63,7 @@ impl Unit {
             Self::TurningRate => &[("rad/s", 1.0)],
             Self::BitRate => &[("Mbit/s", 1e6), ("bit/s", 1.0), ("kbit/s", 1e3), ("Gbit/s", 1e9)],
             Self::Power => &[("dBm", 1.0)],
+            Self::Energy => &[("Wh", 1.0), ("mWh", 1e-3), ("kWh", 1e3)],
             Self::Packets => &[("packets", 1.0)],
             Self::Bytes => &[("MB", 1e6), ("bytes", 1.0), ("kB", 1e3), ("GB", 1e9)],
             Self::Share => &[("%", 1e-2)],

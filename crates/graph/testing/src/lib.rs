@@ -43,10 +43,12 @@ pub fn server() -> Server {
         tier: Tier::Edge,
         capacity: CAPACITY,
         cost: 1.0,
+        used_cost: 0.0,
         memory_cost: 0.0,
         migration_cost: 0.0,
         reliability: 1.0,
         speed: 1.0,
+        power: None,
         real: None,
     }
 }
@@ -64,6 +66,7 @@ pub fn robot(network: &str) -> Robot {
         sensors: Vec::new(),
         clock: RobotClock::default(),
         radio: None,
+        power: None,
     }
 }
 

@@ -294,6 +294,7 @@ impl Builder<'_> {
                     clock: RobotClock { phase: r.clock.phase, drift_ppm: r.clock.drift.0 },
                     driver: driver?,
                     radio: radio?,
+                    power: self.robot_power(r)?,
                 };
                 (Some(position?), NodeKind::Robot(robot))
             }
@@ -318,10 +319,12 @@ impl Builder<'_> {
                     tier: s.tier,
                     capacity: capacity(s.cpus, s.memory),
                     cost: s.cost.0,
+                    used_cost: s.used_cost.0,
                     memory_cost: s.memory_cost.0,
                     migration_cost: s.migration_cost.0,
                     reliability: self.reliability(&s.reliability),
                     speed: self.speed(&s.speed)?,
+                    power: self.server_power(s.power.as_ref())?,
                     real: self.real_server(s)?,
                 };
                 (s.position, NodeKind::Server(server))

@@ -51,6 +51,12 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
                         .help("remove it, or declare a `kind: vector` that a plug-in reports");
                 } else if batteries > 1 {
                     sink.error(span, "a robot has one battery").help("remove one of them");
+                } else if robot.power.as_ref().is_some_and(|power| power.battery.is_some()) {
+                    sink.error(
+                        span,
+                        "this sensor reads a TurtleBot 2's battery, and `power` declares another",
+                    )
+                    .help("leave out this sensor, or the `battery` of `power`");
                 }
                 let charge = is_simulated.then(|| charge.map_or(1.0, |charge| charge.value.get()));
                 (&its.rate, SensorKind::Battery { charge })

@@ -1,7 +1,8 @@
 //! KPIs: some placement can keep each.
 
 use cotorra_graph::{
-    Bound, Edge, Figure, Measure, Node, NodeId, NodeKind, Service, Testbed, Topology, Total, Vnf,
+    Bound, Edge, Figure, HardwareGraph, Measure, Node, NodeId, NodeKind, Service, Testbed, Topology, Total,
+    Vnf,
 };
 
 use super::services::carries;
@@ -77,7 +78,12 @@ fn subjects(bound: &Spanned<Bound>, service: &Service, testbed: &Testbed, sink: 
                 .help("write `currency: EUR`, or another one, at the top of the file");
             return;
         }
-        Ok(Measure::Total(_)) => return,
+        Ok(Measure::Total(total)) => {
+            if let Some(help) = lacks_power(total, service, graph) {
+                sink.error(&bound.span, "nothing says how much power is taken").help(help);
+            }
+            return;
+        }
         Err(wrong) => return report(&wrong, &bound.span, sink),
     };
     let nodes = match &figure {
@@ -104,6 +110,26 @@ fn subjects(bound: &Spanned<Bound>, service: &Service, testbed: &Testbed, sink: 
     for node in nodes.into_iter().filter(|node| graph.node(node).is_none()) {
         let known = graph.nodes.iter().map(|node| node.id.as_str());
         sink.unknown_name(&bound.span, "node named", node.as_str(), known);
+    }
+}
+
+/// Returns what would have to be written for an energy to be known.
+fn lacks_power(total: Total, service: &Service, graph: &HardwareGraph) -> Option<&'static str> {
+    let servers = || graph.servers().any(|(_, server)| server.power.is_some());
+    let robots = || graph.robots().any(|(_, robot)| robot.power.is_some());
+    let its = graph.robots().find(|(node, _)| node.id == service.robot);
+    let its = its.and_then(|(_, robot)| robot.power.as_deref());
+    match total {
+        Total::Energy | Total::TotalEnergy if !servers() && !robots() => {
+            Some("write `power: { idle: 100 W, full: 250 W }` of a server, or a robot's")
+        }
+        Total::RobotEnergy if its.is_none() => {
+            Some("write `power: { idle: 15 W, driving: 40 W }` of the service's robot")
+        }
+        Total::BatteryLeft if its.is_none_or(|power| power.battery_wh.is_none()) => {
+            Some("write `power: { idle: 15 W, driving: 40 W, battery: 55 Wh }` of the service's robot")
+        }
+        _ => None,
     }
 }
 

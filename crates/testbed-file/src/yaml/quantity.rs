@@ -28,6 +28,14 @@ pub(crate) struct Metres(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Speed(pub f64);
 
+/// An electric power in watts, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Watts(pub f64);
+
+/// An energy in watt hours, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct WattHours(pub f64);
+
 /// A frequency in Hz, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Frequency(pub f64);
@@ -189,6 +197,20 @@ const QUEUE: Kind = Kind {
 
 const POWER: Kind =
     Kind { what: "a power", example: "15 dBm", units: &[("dBm", 1.0)], signed: true, most: 200.0 };
+const WATTS: Kind = Kind {
+    what: "an electric power",
+    example: "40 W",
+    units: &[("W", 1.0), ("mW", 1e-3), ("kW", 1e3)],
+    signed: false,
+    most: 1e6,
+};
+const ENERGY: Kind = Kind {
+    what: "an energy",
+    example: "55 Wh",
+    units: &[("Wh", 1.0), ("kWh", 1e3)],
+    signed: false,
+    most: 1e6,
+};
 const RATIO: Kind =
     Kind { what: "a ratio", example: "4 dB", units: &[("dB", 1.0)], signed: false, most: 200.0 };
 const LENGTH: Kind = Kind {
@@ -236,6 +258,8 @@ quantity!(Dbm, POWER, |(dbm, _)| Self(dbm));
 quantity!(Decibels, RATIO, |(db, _)| Self(db));
 quantity!(Metres, LENGTH, |(metres, _)| Self(metres));
 quantity!(Speed, SPEED, |(speed, _)| Self(speed));
+quantity!(Watts, WATTS, |(watts, _)| Self(watts));
+quantity!(WattHours, ENERGY, |(watt_hours, _)| Self(watt_hours));
 quantity!(Frequency, FREQUENCY, |(hertz, _)| Self(hertz));
 quantity!(Drift, DRIFT, |(ppm, _)| Self(ppm));
 quantity!(Angle, ANGLE, |(radians, _)| Self(radians));
@@ -405,6 +429,8 @@ mod tests {
         assert_eq!(read("-40 %"), Correlation::new(-0.4));
         assert_eq!(read::<Correlation>("100 %"), None);
         assert_eq!(read("180 deg"), Some(Angle(PI)));
+        assert_eq!(read("250 mW"), Some(Watts(0.25)));
+        assert_eq!(read("0.055 kWh"), Some(WattHours(55.0)));
         assert_eq!(read("1 packet"), Some(QueueLimit::Packets(1)));
         assert_eq!(read("64 KiB"), Some(QueueLimit::Bytes(65536)));
         assert_eq!(read("unlimited"), Some(Rate::Unlimited));

@@ -1,7 +1,7 @@
 //! The bill of a run: what VNFs took of servers and what crossed links, at the prices of the testbed file.
 //!
 //! A server is paid for the CPUs and the memory that VNFs reserve, used or not, from their placement to the run's end or
-//! to the next placement. `cost` of OKpi's objective is that of the CPUs for one hour.
+//! to the next placement, and for the CPU time that they use. `cost` of OKpi's objective is that of the reserved CPUs for one hour.
 
 use std::{
     collections::BTreeMap,
@@ -14,8 +14,12 @@ use cotorra_graph::{
 };
 use serde::Serialize;
 
+use super::{amount::amount, energy::EnergySummary};
+use crate::virtual_time::Computed;
+
 const SECONDS_PER_HOUR: f64 = 3600.0;
 const BYTES_PER_GB: f64 = 1e9;
+const WATT_HOURS_PER_KWH: f64 = 1000.0;
 
 /// Prices of what a run took, in the testbed's currency.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -33,7 +37,10 @@ pub struct Bill {
     pub servers: Vec<ServerBill>,
     /// Traffic of links that have a price, in the file's order.
     pub links: Vec<LinkBill>,
-    /// What each domain has to be paid for its servers and links, in the file's order.
+    /// Energy of servers and robots that has a price, in the file's order.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub energy: Vec<EnergyBill>,
+    /// What each domain has to be paid for its servers, robots and links, in the file's order.
     pub domains: Vec<DomainBill>,
 }
 
@@ -65,6 +72,15 @@ pub struct LinkBill {
     pub price: f64,
 }
 
+/// Energy of a server or a robot.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnergyBill {
+    pub node: NodeId,
+    pub energy_wh: f64,
+    /// Its price.
+    pub price: f64,
+}
+
 /// What a domain has to be paid.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DomainBill {
@@ -79,6 +95,12 @@ pub struct Taken {
     pub cpu_hours: f64,
     /// Their price.
     pub cpu_price: f64,
+    /// CPU time that was used, in hours, where that has a price.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub used_cpu_hours: f64,
+    /// Its price.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub used_cpu_price: f64,
     /// GB of memory that were reserved, times hours.
     pub memory_gb_hours: f64,
     /// Their price.
@@ -91,6 +113,10 @@ pub struct Taken {
     pub price: f64,
 }
 
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
 impl Add for Taken {
     type Output = Self;
 
@@ -98,6 +124,8 @@ impl Add for Taken {
         Self {
             cpu_hours: self.cpu_hours + other.cpu_hours,
             cpu_price: self.cpu_price + other.cpu_price,
+            used_cpu_hours: self.used_cpu_hours + other.used_cpu_hours,
+            used_cpu_price: self.used_cpu_price + other.used_cpu_price,
             memory_gb_hours: self.memory_gb_hours + other.memory_gb_hours,
             memory_price: self.memory_price + other.memory_price,
             migrations: self.migrations + other.migrations,
@@ -124,11 +152,14 @@ impl Bill {
     pub fn sentence(&self) -> String {
         let taken = self.servers.iter().fold(Taken::default(), |sum, its| sum + its.taken);
         let links: f64 = self.links.iter().map(|its| its.price).sum();
+        let energy: f64 = self.energy.iter().map(|its| its.price).sum();
         let items = [
             ("CPUs", taken.cpu_price),
+            ("CPU time", taken.used_cpu_price),
             ("memory", taken.memory_price),
             ("migrations", taken.migration_price),
             ("links", links),
+            ("energy", energy),
         ];
         let items = items.into_iter().filter(|(_, price)| *price > 0.0);
         let items: Vec<_> = items.map(|(what, price)| format!("{what} {}", amount(price))).collect();
@@ -137,20 +168,12 @@ impl Bill {
     }
 }
 
-/// Writes an amount with two decimals, and a small one with as many as show two digits.
-fn amount(price: f64) -> String {
-    if price == 0.0 || price >= 0.1 {
-        return format!("{price:.2}");
-    }
-    let decimals = (1.0 - price.log10().floor()).min(9.0) as usize;
-    format!("{price:.decimals$}")
-}
-
 /// Prices of a server.
 #[derive(Debug, Clone)]
 struct Prices {
     domain: DomainId,
     cpu: f64,
+    used_cpu: f64,
     memory: f64,
     migration: f64,
 }
@@ -185,6 +208,8 @@ pub(super) struct Billing {
     placed: BTreeMap<VnfId, (Timestamp, Nodes)>,
     taken: BTreeMap<(Option<ServiceId>, NodeId), Taken>,
     links: Vec<Priced>,
+    /// Nodes whose energy has a price: the domain, and the price of a kWh.
+    energy: BTreeMap<NodeId, (DomainId, f64)>,
 }
 
 impl Demand {
@@ -203,6 +228,7 @@ impl Billing {
             let prices = Prices {
                 domain: node.domain.clone(),
                 cpu: server.cost,
+                used_cpu: server.used_cost,
                 memory: server.memory_cost,
                 migration: server.migration_cost,
             };
@@ -216,6 +242,14 @@ impl Billing {
             let domain = graph.node(&link.ends[0])?.domain.clone();
             Some(Priced { link: link.id.clone(), domain, cost: link.cost, bytes: BTreeMap::new() })
         });
+        let energy = graph.nodes.iter().filter_map(|node| {
+            let cost = match &node.kind {
+                NodeKind::Server(server) => server.power.as_ref()?.energy_cost,
+                NodeKind::Robot(robot) => robot.power.as_ref()?.energy_cost,
+                _ => return None,
+            };
+            (cost > 0.0).then(|| (node.id.clone(), (node.domain.clone(), cost)))
+        });
         Some(Self {
             currency: testbed.currency.clone()?,
             domains: graph.domains.clone(),
@@ -225,6 +259,7 @@ impl Billing {
             placed: BTreeMap::new(),
             taken: BTreeMap::new(),
             links: links.collect(),
+            energy: energy.collect(),
         })
     }
 
@@ -289,9 +324,22 @@ impl Billing {
         nodes.all().iter().filter_map(on).collect()
     }
 
-    /// Returns the bill of a run that ended at `end`.
-    pub(super) fn bill(&self, end: Timestamp) -> Bill {
+    /// Returns the CPU time that a VNF used on a server, if that has a price.
+    fn used(&self, computed: &Computed) -> Option<((Option<ServiceId>, NodeId), Taken)> {
+        let cost = self.servers.get(&computed.node)?.used_cpu;
+        let service = self.vnfs.get(&computed.vnf)?.service.clone();
+        let used_cpu_hours = computed.load.cpu_time().as_secs_f64() / SECONDS_PER_HOUR;
+        let price = used_cpu_hours * cost;
+        let taken = Taken { used_cpu_hours, used_cpu_price: price, price, ..Taken::default() };
+        (cost > 0.0).then(|| ((service, computed.node.clone()), taken))
+    }
+
+    /// Returns the bill of a run that ended at `end`, with what its VNFs computed and its energy.
+    pub(super) fn bill(&self, end: Timestamp, computed: &[Computed], energy: Option<&EnergySummary>) -> Bill {
         let mut all = self.taken.clone();
+        for (whose, used) in computed.iter().filter_map(|computed| self.used(computed)) {
+            *all.entry(whose).or_default() += used;
+        }
         for (vnf, (since, nodes)) in &self.placed {
             let taken = self.reserved(vnf, nodes, *since, end);
             taken.into_iter().for_each(|(whose, taken)| *all.entry(whose).or_default() += taken);
@@ -314,20 +362,29 @@ impl Billing {
         };
         let links: Vec<_> = self.links.iter().map(link).collect();
         let servers: Vec<_> = self.servers.keys().filter(is_used).map(server).collect();
+        let energy = energy.into_iter().flat_map(EnergySummary::nodes).filter_map(|(node, energy_wh)| {
+            let (domain, cost) = self.energy.get(node)?;
+            let price = energy_wh / WATT_HOURS_PER_KWH * cost;
+            Some((domain, EnergyBill { node: node.clone(), energy_wh, price }))
+        });
+        let energy: Vec<_> = energy.collect();
         let domain = |domain: &DomainId| {
             let of_servers = servers.iter().filter(|its| self.servers[&its.server].domain == *domain);
             let of_links = self.links.iter().zip(&links).filter(|(priced, _)| priced.domain == *domain);
-            let price: f64 =
-                of_servers.map(|its| its.taken.price).chain(of_links.map(|(_, its)| its.price)).sum();
+            let of_energy = energy.iter().filter(|(of, _)| *of == domain).map(|(_, its)| its.price);
+            let of_links = of_links.map(|(_, its)| its.price).chain(of_energy);
+            let price: f64 = of_servers.map(|its| its.taken.price).chain(of_links).sum();
             DomainBill { domain: domain.clone(), price }
         };
         let has_others = all.keys().any(|(service, _)| service.is_none());
+        let others = links.iter().map(|its| its.price).chain(energy.iter().map(|(_, its)| its.price));
         Bill {
             currency: self.currency.clone(),
-            total_price: sum(&|_, _| true).price + links.iter().map(|its| its.price).sum::<f64>(),
+            total_price: sum(&|_, _| true).price + others.sum::<f64>(),
             services: self.services.iter().map(service).collect(),
             without_service: has_others.then(|| sum(&|service, _| service.is_none())),
             domains: self.domains.iter().map(domain).collect(),
+            energy: energy.into_iter().map(|(_, its)| its).collect(),
             servers,
             links,
         }
@@ -384,7 +441,7 @@ walks: { r: { waypoints: [[0, 0], [5, 0]] } }
         place(&mut billing, 0.0, "cloud");
         place(&mut billing, 1.0, "edge");
         place(&mut billing, 3.0, "cloud");
-        let bill = billing.bill(hours(7.0));
+        let bill = billing.bill(hours(7.0), &[], None);
         let [service] = &bill.services[..] else { panic!("{bill:?}") };
         // 2 CPUs for 5 h at 1 and for 2 h at 3; 1 GB for 2 h at 0.5.
         assert_eq!((service.taken.cpu_hours, service.taken.cpu_price), (14.0, 22.0));
@@ -410,7 +467,7 @@ walks: { r: { waypoints: [[0, 0], [5, 0]] } }
             context.counters.bytes = bytes * 1_000_000_000;
             billing.absorb(&Stamped { at: hours(0.0), event: Event::Link(context) });
         }
-        let bill = billing.bill(hours(1.0));
+        let bill = billing.bill(hours(1.0), &[], None);
         let [its] = &bill.links[..] else { panic!("{bill:?}") };
         assert_eq!((its.bytes, its.price, bill.total_price), (5_000_000_000, 0.5, 0.5));
         assert_eq!(bill.domains[1].price, 0.5, "the link's first end is the operator's");
@@ -421,11 +478,5 @@ walks: { r: { waypoints: [[0, 0], [5, 0]] } }
         let text = LAB.replace("currency: EUR\n", "");
         let testbed = cotorra_testbed_file::parse("lab.yaml", &text, Path::new("")).unwrap();
         assert!(Billing::new(&testbed).is_none());
-    }
-
-    #[test]
-    fn small_amounts_show_two_digits() {
-        let amounts = [0.0, 12.0, 0.1, 0.0123, 0.000_045_6].map(amount);
-        assert_eq!(amounts, ["0.00", "12.00", "0.10", "0.012", "0.000046"]);
     }
 }

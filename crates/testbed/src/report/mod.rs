@@ -1,12 +1,14 @@
 //! The results of a run: summary, samples, and the figure in the published layout. Everything is computed from events,
 //! except localization errors.
 
+mod amount;
 mod away;
 mod bill;
 mod computing;
 mod doubts;
 mod driving;
 mod end;
+mod energy;
 mod fidelity;
 mod figure;
 mod fleet;
@@ -18,6 +20,7 @@ mod instructed;
 mod judged;
 mod kept;
 mod measured_frames;
+mod metering;
 mod run_folder;
 mod samples;
 mod sent_late;
@@ -33,10 +36,13 @@ mod vnf_waits;
 mod void;
 mod whole;
 
-pub use bill::{Bill, DomainBill, LinkBill, ServerBill, ServiceBill, Taken};
+pub use bill::{Bill, DomainBill, EnergyBill, LinkBill, ServerBill, ServiceBill, Taken};
 pub use computing::{ComputerSummary, ComputingSummary, VnfComputing};
 pub use doubts::sampled_services;
 pub(crate) use end::End;
+pub use energy::{
+    Battery, DomainEnergy, EnergySummary, RadioEnergy, RobotEnergy, ServerEnergy, ServiceEnergy,
+};
 pub use fidelity::Fidelity;
 pub use figure::panels;
 pub use fleet::{FEW_ROBOTS, WORST_ROBOTS, robots_by_name};

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_datapath::{Absence, GatewayTraffic};
 use cotorra_engine::InstanceWaits;
-use cotorra_fabric::ForgedSources;
+use cotorra_fabric::{Airtime, ForgedSources};
 use cotorra_graph::{
     Event, Instruction, Lateness, Natural, NodeId, Nodes, PoseSource, Position, Probability, Requests,
     Service, ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
@@ -20,6 +20,7 @@ use super::{
     doubts::Doubts,
     driving::{Driving, DrivingSummary},
     end::End,
+    energy::EnergySummary,
     fidelity::Fidelity,
     folder::FolderError,
     forged::ForgedSummary,
@@ -28,6 +29,7 @@ use super::{
     judged::{Judge, Judged},
     kept::{Kept, Verdict},
     measured_frames::MeasuredFrames,
+    metering::{Known, Metering},
     samples::Samples,
     staleness_regret::StalenessRegret,
     time_parts::{ServiceParts, TimePartsReport},
@@ -100,6 +102,9 @@ pub struct Summary {
     /// Prices of what the run took, if the testbed file has a currency.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bill: Option<Bill>,
+    /// Energy of servers and robots, if the testbed file has the power of any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub energy: Option<EnergySummary>,
     /// What VNFs with demands computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub computing: Option<ComputingSummary>,
@@ -282,10 +287,12 @@ impl Summary {
     pub(crate) fn last_words(&self, end: Timestamp) -> impl Iterator<Item = Stamped> {
         let stuck = self.no_progress.iter().map(|stand| format!("{}: {stand}", self.ended));
         let forged = self.forged_sources.iter().map(ForgedSummary::sentence);
+        let empty = self.energy.iter().flat_map(EnergySummary::empty_batteries);
         let void = self.void.reasons().map(|reason| format!("the figures are not valid: {reason}"));
         stuck
             .chain(void)
             .chain(forged)
+            .chain(empty)
             .map(move |message| Stamped { at: end, event: Event::Notice { message } })
     }
 }
@@ -348,6 +355,9 @@ pub struct Report {
     localization: Vec<LocalizationSummary>,
     traffic: Vec<Measured>,
     billing: Option<Billing>,
+    metering: Option<Metering>,
+    /// Of robots with emulated radios.
+    airtimes: BTreeMap<NodeId, Airtime>,
     computed: ComputedSoFar,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
@@ -414,6 +424,8 @@ impl Report {
             localization: Vec::new(),
             traffic: Vec::new(),
             billing: Billing::new(testbed),
+            metering: Metering::new(testbed),
+            airtimes: BTreeMap::new(),
             computed: ComputedSoFar::default(),
             pose_source: None,
             robots: testbed
@@ -451,6 +463,9 @@ impl Report {
         self.judge.absorb(stamped);
         if let Some(billing) = &mut self.billing {
             billing.absorb(stamped);
+        }
+        if let Some(metering) = &mut self.metering {
+            metering.absorb(stamped);
         }
         self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
@@ -533,6 +548,11 @@ impl Report {
     /// Adds what VNFs with demands computed. It is in no event.
     pub(crate) fn computed(&mut self, computed: ComputedSoFar) {
         self.computed = computed;
+    }
+
+    /// Adds the airtime of robots with emulated radios. It is in no event.
+    pub(crate) fn sent(&mut self, airtimes: BTreeMap<NodeId, Airtime>) {
+        self.airtimes = airtimes;
     }
 
     /// Adds where the robots stand, if none of them makes progress any more.
@@ -669,6 +689,7 @@ impl Report {
         let robots = self.robots(&by_service, end);
         let services = self.summarize(by_service);
         let duration = end.since(Timestamp::ZERO);
+        let energy = self.energy(end);
         let mut summary = Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
@@ -710,7 +731,11 @@ impl Report {
             localization: self.localization.clone(),
             driving: self.driving.summary(),
             traffic: self.traffic.clone(),
-            bill: self.billing.as_ref().map(|billing| billing.bill(end)),
+            bill: self
+                .billing
+                .as_ref()
+                .map(|billing| billing.bill(end, &self.computed.vnfs, energy.as_ref())),
+            energy,
             computing: ComputingSummary::of(&self.computed, end.since(Timestamp::ZERO)),
             plugins: self.instructed.summary(),
             staleness_regret: Vec::new(),
@@ -721,6 +746,15 @@ impl Report {
         summary.void = self.doubts.void(&summary, end);
         self.judge.judge(&mut summary);
         summary
+    }
+
+    fn energy(&self, end: Timestamp) -> Option<EnergySummary> {
+        let known = Known {
+            computed: &self.computed,
+            is_all: self.measured_frames == MeasuredFrames::Exact,
+            airtimes: &self.airtimes,
+        };
+        Some(self.metering.as_ref()?.summary(end, &known))
     }
 
     /// Whether a service is not in the total.

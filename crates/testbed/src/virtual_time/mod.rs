@@ -13,13 +13,13 @@ mod udp;
 mod unrecorded;
 
 use std::{
-    collections::{HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, VecDeque},
     net::Ipv4Addr,
     sync::Arc,
     time::Duration,
 };
 
-use cotorra_fabric::{Balance, Fabric, PortId};
+use cotorra_fabric::{Airtime, Balance, Fabric, PortId};
 use cotorra_federation::Ledgers;
 use cotorra_graph::{
     Decision, Direction, Event, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Program,
@@ -442,6 +442,11 @@ impl Simulation {
     /// Returns what VNFs with demands computed so far.
     pub(crate) fn computed(&self) -> ComputedSoFar {
         self.serving.computed()
+    }
+
+    /// Returns the time that each robot's radio spent on frames so far.
+    pub(crate) fn airtimes(&self) -> BTreeMap<NodeId, Airtime> {
+        self.network.fabric().airtimes()
     }
 
     /// Returns the localization errors so far, of each robot that a VNF localizes.

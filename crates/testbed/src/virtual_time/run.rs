@@ -270,6 +270,7 @@ pub(super) fn simulate_with(
     report.localized(simulation.localization_errors());
     report.carried(simulation.traffic());
     report.computed(simulation.computed());
+    report.sent(simulation.airtimes());
     let recording = recording.map(Recording::finish);
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
     unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));

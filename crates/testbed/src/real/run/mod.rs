@@ -268,6 +268,7 @@ impl Run {
         }
         report.passed(self.datapath.gateways());
         report.forged(self.datapath.handle().with(|fabric, _| fabric.forged_sources()).unwrap_or_default());
+        report.sent(self.datapath.handle().with(|fabric, _| fabric.airtimes()).unwrap_or_default());
         if let Some(traffic) = &self.traffic {
             report.carried(traffic.lock().measured(end));
         }

@@ -67,6 +67,7 @@ pub(super) fn run_with(
     }
     events.iter().for_each(|event| report.absorb(event));
     report.computed(simulation.computed());
+    report.sent(simulation.airtimes());
     (report.summary(end, "until", Losses::default()), events)
 }
 

@@ -7,6 +7,7 @@ mod container;
 mod corridor_fleet;
 mod corruption;
 mod distance;
+mod energy;
 mod federation;
 mod large_data;
 mod localization;
