@@ -14,6 +14,7 @@ mod fitted_tests;
 mod measured;
 mod needs;
 mod published;
+mod spent;
 #[cfg(test)]
 mod tests;
 mod times;
@@ -23,7 +24,7 @@ use std::{fmt::Write as _, path::Path};
 pub use cotorra_calibrate::WalkFit;
 use cotorra_figure::Format;
 use cotorra_graph::{NodeId, Position, Service, ServiceTime, Testbed, millis};
-use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, service_time_ms, write_file};
+use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, Summary, service_time_ms, write_file};
 use serde::Serialize;
 
 use self::{
@@ -36,6 +37,7 @@ pub use self::{
     fitted::{FittedWalk, Prediction, Predictor, WalkTest, fit},
     measured::{MAX_ROWS, Measured, MeasuredError},
     needs::{Unfit, check},
+    spent::SpentByWalk,
 };
 
 /// One of the compared approaches.
@@ -102,6 +104,9 @@ pub struct Comparison {
     /// Fits to the first half of the measured walk, and their tests on the second.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tests: Vec<WalkTest>,
+    /// What each contender's walk spent, if the testbed has prices or powers.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub spent: Vec<SpentByWalk>,
     pub target_ms: Option<f64>,
 }
 
@@ -188,8 +193,15 @@ impl Comparison {
             above_target: [above(first, soa), above(second, okpi)].into_iter().flatten().collect(),
             distributions: distribution::all(walks),
             tests: fitted::tests(walks),
+            spent: Vec::new(),
             target_ms,
         }
+    }
+
+    /// Adds what the walks spent: the one with the state of the art, and the one with OKpi.
+    #[must_use]
+    pub fn with_spent(self, walks: [&Summary; 2]) -> Self {
+        Self { spent: spent::by_contender(walks), ..self }
     }
 
     /// Returns the tables of medians, changes, shares, distributions and predictions, in Markdown. `how` says how the walks were
@@ -236,7 +248,8 @@ impl Comparison {
             shares.row([contender.to_owned()].into_iter().chain(shown));
         }
         let others = distribution::tables(&self.distributions).into_iter().chain(fitted::tables(&self.tests));
-        [medians, changes, shares].into_iter().chain(others).collect()
+        let spent = spent::table(&self.spent);
+        [medians, changes, shares].into_iter().chain(spent).chain(others).collect()
     }
 
     /// Returns the medians of each part with all digits.

@@ -1,8 +1,9 @@
-use std::{path::Path, time::Duration};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use cotorra_graph_testing as base;
 use cotorra_numbers::Interval;
+use cotorra_testbed::{Altered, Unrecorded, simulate_unrecorded};
 
 use super::*;
 
@@ -82,6 +83,34 @@ fn all_samples_and_one_a_second_are_told_apart() {
         assert_eq!(above_40, [0.008, 0.0, 0.008, 0.0]);
         assert_eq!(rows[0].distribution.above_15_ms, 1.0);
         assert!(rows.iter().all(|of| of.intervals.is_none()));
+    });
+}
+
+#[test]
+fn walks_with_prices_and_powers_are_compared_by_what_they_spent() {
+    let text = format!("currency: EUR\n{TESTBED}").replace(
+        "cloud: { kind: server, tier: cloud,",
+        "cloud: { kind: server, cost: 0, power: { idle: 100 W, full: 200 W, cost: 0.3 }, tier: cloud,",
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let summaries = [1, 2].map(|seconds| {
+        let testbed = cotorra_testbed_file::parse("test.yaml", &text, Path::new("")).unwrap();
+        let run = Unrecorded {
+            seed: 1,
+            until: Some(Duration::from_secs(seconds)),
+            altered: &Altered::default(),
+            folder: folder.path(),
+            text: &text,
+        };
+        simulate_unrecorded(Arc::new(testbed), &run, |_| {}, || true).unwrap().unwrap().summary
+    });
+    with(None, |walks| {
+        let comparison = Comparison::of(walks);
+        assert!(!serde_json::to_string(&comparison).unwrap().contains("spent"), "nothing has a price there");
+        let text = comparison.with_spent([&summaries[0], &summaries[1]]).to_markdown("in a test");
+        // A tenth of a kWh in each hour.
+        assert!(text.contains("| price of everything | 0.03 EUR | 0.03 EUR |"), "{text}");
+        assert!(text.contains("| mean power of server cloud | 100.00 W | 100.00 W |"), "{text}");
     });
 }
 

@@ -105,7 +105,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         .collect();
     let walked = Walks { fitted: &fitted, ..walked };
     let how = format!("{how}, seed {}", soa.summary.seed);
-    let comparison = Comparison::of(&walked);
+    let comparison = Comparison::of(&walked).with_spent([&soa.summary, &okpi.summary]);
     comparison.write(&folder, &how, &walked).map_err(Error::from)?;
     Manifest::complete(&folder).map_err(Error::from)?;
     for format in args.walks.figure.further() {
