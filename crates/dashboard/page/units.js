@@ -38,6 +38,8 @@ export const UNITS = {
     cost: "",
     bill: "",
     energy: "Wh",
+    action_age: "ms",
+    starved: "",
     handovers: "",
     detached: "ms",
     driven: "m",

@@ -243,6 +243,7 @@ impl Bounded for Box<Vnf> {
         meter.nodes(node);
         match program {
             Program::RobotDriver | Program::Navigation | Program::Localization | Program::RosNavigation => {}
+            Program::PolicyServer(server) => fixed(server),
             Program::Command(words) | Program::Host(words) => meter.words("command", words)?,
         }
         meter.words("env", env)?;

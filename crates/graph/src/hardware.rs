@@ -9,6 +9,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    accelerator::Accelerators,
     conditions::{Conditions, Loss, Scale},
     contention::Access,
     driver::Driver,
@@ -181,6 +182,9 @@ pub struct Capacity {
     pub cpus: f64,
     /// Bytes of memory.
     pub memory_bytes: u64,
+    /// Accelerators, if it has any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accelerators: Option<Accelerators>,
 }
 
 /// A robot's hardware.

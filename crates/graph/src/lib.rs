@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
+mod accelerator;
 mod access;
 mod active;
 mod axis;
@@ -59,6 +60,7 @@ mod vnf_event;
 mod walls;
 mod wifi_software;
 
+pub use accelerator::{Accelerators, BatchTimes, Batching, Chunk, Policy, PolicyServer};
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use axis::Axis;

@@ -180,7 +180,7 @@ mod tests {
             netns: None,
             address: Ipv4Addr::new(192, 168, 1, place as u8),
         });
-        let capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
+        let capacity = Capacity { cpus: 1.0, memory_bytes: 1, accelerators: None };
         node(
             place,
             NodeKind::Server(Server {

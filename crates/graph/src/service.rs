@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    accelerator::{Policy, PolicyServer},
     computing::Computing,
     container::Image,
     figure::{Bound, Total},
@@ -31,6 +32,10 @@ pub struct Service {
     /// Destination of a robot's requests, where a bundled VNF has several instances.
     #[serde(default, skip_serializing_if = "Requests::are_usual")]
     pub requests: Requests,
+    /// How its robot follows actions of a model, in virtual time; `None` if it does not. Its service times are then those from
+    /// observations to chunks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy: Option<Box<Policy>>,
 }
 
 impl Service {
@@ -119,6 +124,19 @@ impl Vnf {
     pub fn start_time(&self) -> Duration {
         self.image.as_ref().map_or(self.start, |image| image.start)
     }
+
+    /// Returns the model that it serves on an accelerator, if it does.
+    pub fn policy_server(&self) -> Option<&PolicyServer> {
+        match &self.program {
+            Program::PolicyServer(server) => Some(server),
+            _ => None,
+        }
+    }
+
+    /// Returns the bytes of memory that it takes of an accelerator; 0 if it needs none.
+    pub fn accelerator_bytes(&self) -> u64 {
+        self.policy_server().map_or(0, |server| server.accelerator_bytes)
+    }
 }
 
 /// Rights of a VNF's command on the machine that runs the testbed.
@@ -185,6 +203,8 @@ pub enum Program {
     Localization,
     /// The bundled brain as a ROS node: poses of the service's robot in on one topic, velocities out on another.
     RosNavigation,
+    /// A model on an accelerator: observations of robots in, chunks of actions out. Runs in virtual time only.
+    PolicyServer(PolicyServer),
     /// Any program and its arguments, in the node's namespace. With an image they are those of its containers, and may be
     /// empty for the image's own.
     Command(Vec<String>),

@@ -9,6 +9,7 @@ mod computing;
 mod containers;
 mod distributions;
 mod flows;
+mod inference;
 mod kobuki;
 mod links;
 mod nodes;

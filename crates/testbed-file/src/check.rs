@@ -1,6 +1,7 @@
 //! Checks between the records of a testbed: names that are taken or lead elsewhere, unreachable nodes, KPIs that no placement keeps, walks
 //! through walls.
 
+mod accelerators;
 mod agents;
 mod containers;
 mod kpis;

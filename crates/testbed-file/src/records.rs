@@ -620,6 +620,8 @@ record! {
         cpus: Amount = 2,
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
+        /// Accelerators for VNFs, in virtual time: docs/use/inference.md.
+        accelerators: Option<Spanned<AcceleratorsRecord>>,
         /// Its electric power. With it, the report has its energy: docs/use/energy.md.
         power: Option<RobotPowerRecord>,
         ..whole: WholeRecord,
@@ -940,6 +942,8 @@ record! {
         cpus: Amount,
         /// Memory for VNFs.
         memory: Bytes,
+        /// Accelerators for VNFs, in virtual time: docs/use/inference.md.
+        accelerators: Option<Spanned<AcceleratorsRecord>>,
         /// Price of a CPU for an hour, in the file's `currency`.
         cost: Amount = 1,
         /// Price of an hour of CPU time that VNFs use, in the file's `currency`, in virtual time: docs/use/bill.md.
@@ -1180,6 +1184,9 @@ record! {
         robot: Spanned<NodeId>,
         /// KPIs that it must keep.
         kpis: KpisRecord,
+        /// A model whose actions the robot follows, in virtual time: docs/use/inference.md. The service's time is then that from
+        /// an observation to its chunk of actions.
+        policy: Option<Spanned<PolicyRecord>>,
         /// Destination of the robot's requests, if a bundled VNF has several instances. Without it: `one`.
         requests: Option<Spanned<Requests>>,
         /// VNFs by name, in the order in which packets visit them.
@@ -1382,10 +1389,79 @@ record! {
         backlog: Option<Spanned<u32>>,
         /// What the first requests after each start cost more.
         warm_up: Option<Spanned<WarmUpRecord>>,
+        /// The model of a `policy_server`, in virtual time.
+        inference: Option<Spanned<InferenceRecord>>,
         /// Time that a container takes from a request to its answer, in virtual time. Without it: none.
         processing_delay: Option<Spanned<Duration>>,
         ..container: ContainerRecord,
     }
+}
+
+record! {
+    /// Accelerators of a node, such as GPUs, all alike.
+    AcceleratorsRecord {
+        /// Their number, 1 to 64.
+        count: Spanned<u32> = 1,
+        /// Memory of each.
+        memory: Bytes,
+        /// Speed, as a multiple of that on which times of inference were measured.
+        speed: Spanned<Amount> = 1,
+    }
+}
+
+record! {
+    /// How a robot follows the actions of a model.
+    PolicyRecord {
+        /// The VNF that answers: a `policy_server` of any service.
+        server: Spanned<VnfId>,
+        /// Size of an observation: images and state, as they are sent.
+        observation: Spanned<Bytes> = "45 kB",
+        /// Observes once no more actions than these are left. Fewer than a chunk has. Without it: 0, i.e. when none is left.
+        request_ahead: Spanned<u32> = 0,
+        /// Time after which an observation without an answer is given up, and another one is made.
+        timeout: Spanned<Duration> = "1 s",
+    }
+}
+
+record! {
+    /// A model on an accelerator. With `model`, the other keys have that model's values unless they are given
+    /// (docs/use/inference.md). Without it, `accelerator_memory`, `actions` and `interval` must be given, and a time.
+    InferenceRecord {
+        /// A public model with published figures.
+        model: Option<ModelWord>,
+        /// Memory that it takes of an accelerator, each instance.
+        accelerator_memory: Option<Bytes>,
+        /// Time of a batch, whatever its size, on an accelerator of speed 1.
+        per_batch: Option<Duration>,
+        /// Time for each request of a batch beside that.
+        per_request: Option<Duration>,
+        /// Tokens of an answer, one after the other. Those of a batch go on together.
+        tokens: Option<u32>,
+        /// Time for each token.
+        per_token: Option<Duration>,
+        /// What the first batch after each start takes longer. Without it: nothing.
+        first_batch: Duration = "0 ms",
+        /// Most requests of a batch.
+        max_batch: Spanned<u32> = 1,
+        /// Longest time for which a request waits for others, while the accelerator is free.
+        max_wait: Duration = "0 ms",
+        /// Most requests that wait. One more is dropped.
+        backlog: Spanned<u32> = 1000,
+        /// Number of actions of a chunk.
+        actions: Option<Spanned<u32>>,
+        /// Time from one action to the next.
+        interval: Option<Spanned<Duration>>,
+        /// Size of an answer.
+        answer: Spanned<Bytes> = "6 kB",
+    }
+}
+
+/// Public models with published times of inference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ModelWord {
+    Act,
+    Openvla,
+    Pi0,
 }
 
 record! {
@@ -1442,6 +1518,7 @@ pub(crate) enum ProgramWord {
     Navigation,
     Localization,
     RosNavigation,
+    PolicyServer,
 }
 
 record! {
@@ -1695,9 +1772,15 @@ choice!(Requests, "destination of requests", {
     "nearest" => Self::Nearest, "to the instance that serves with the least delay from the robot";
     "all" => Self::All, "to all instances that serve; the first answer wins";
 });
+choice!(ModelWord, "model", {
+    "act" => Self::Act, "ACT (Zhao et al. 2023): 100 actions at 50 Hz";
+    "openvla" => Self::Openvla, "OpenVLA 7B (Kim et al. 2024): one action";
+    "pi0" => Self::Pi0, "π0 (Black et al. 2024): 50 actions at 50 Hz";
+});
 choice!(ProgramWord, "bundled program", {
     "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";
     "navigation" => Self::Navigation, "the bundled brain";
     "localization" => Self::Localization, "Monte Carlo localization: scans in, poses with their covariance out";
     "ros_navigation" => Self::RosNavigation, "the bundled brain as a node of ROS 1 or 2: poses in, velocities out";
+    "policy_server" => Self::PolicyServer, "a model on an accelerator: observations in, chunks of actions out";
 });

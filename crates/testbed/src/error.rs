@@ -84,6 +84,12 @@ pub enum RunError {
          `--set wireless.{0}.wifi=model`"
     )]
     VirtualWifi(String),
+    /// A policy server computes nothing.
+    #[error(
+        "`{0}` is a policy server, which models the times of inference: run with `--simulate`, or put a program of yours in \
+         its place"
+    )]
+    RealPolicyServer(cotorra_graph::VnfId),
     /// The fabric carries the packets of sources of traffic, and of nothing else.
     #[error(
         "`{traffic}` is a source of traffic, and {reason}, so that its packets would not go where real ones do: run with \

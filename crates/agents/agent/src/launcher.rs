@@ -91,6 +91,9 @@ impl Launcher for MachineLauncher {
             Program::RosNavigation => {
                 return Err("the brain in ROS runs in the emulated network's own nodes only".to_owned());
             }
+            Program::PolicyServer(_) => {
+                return Err("a policy server runs in virtual time only".to_owned());
+            }
             _ => drop(command.args([SELF, "vnf", "navigation"])),
         }
         command.envs(self.environments.of(&vnf.id, replica));

@@ -424,7 +424,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
     let node = |id, kind| Node { id, domain: domain.clone(), position: None, kind };
     let server = NodeKind::Server(Server {
         tier: Tier::Fog,
-        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
+        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30, accelerators: None },
         cost: 0.0,
         used_cost: 0.0,
         memory_cost: 0.0,

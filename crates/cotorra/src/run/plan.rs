@@ -228,6 +228,7 @@ fn program(vnf: &Vnf) -> String {
         Program::Navigation => format!("{} (bundled brain)", vnf.id),
         Program::Localization => format!("{} (Monte Carlo localization)", vnf.id),
         Program::RosNavigation => format!("{} (bundled brain, in ROS)", vnf.id),
+        Program::PolicyServer(_) => format!("{} (policy server)", vnf.id),
         Program::Command(words) | Program::Host(words) => format!("{} ({})", vnf.id, words.join(" ")),
     }
 }

@@ -218,6 +218,17 @@ fn figures(summary: &Summary, several: bool) -> Table {
     for node in nodes.filter(|node| node.cpu_time_ms > 0.0) {
         table.row([format!("node {}", node.node), node.sentence()]);
     }
+    if let Some(inference) = &summary.inference {
+        for model in &inference.models {
+            table.row([format!("model {}", model.vnf), model.sentence()]);
+        }
+        for policy in &inference.policies {
+            table.row([format!("robot {}", policy.robot), policy.sentence()]);
+        }
+        for node in inference.nodes.iter().filter(|node| node.busy > 0.0) {
+            table.row([format!("node {}", node.node), node.sentence()]);
+        }
+    }
     for plugin in &summary.plugins {
         table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);
     }

@@ -305,19 +305,24 @@ fn every_figure_is_documented_with_its_unit() {
         serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
     in_document(&summary["traffic"], used.entry("summary.json").or_default());
 
-    let busy = out.path().join("busy");
-    let run = cotorra(["run", "--headless", "--simulate", "--until", "1s", "--out"])
-        .arg(&busy)
-        .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
-        .arg(project_file("testbeds/busy.yaml"))
-        .output()
-        .unwrap();
-    assert!(run.status.success(), "{}", stderr(&run));
-    let folder = fs::read_dir(&busy).unwrap().next().unwrap().unwrap().path();
-    let summary: Value =
-        serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
-    for part in ["computing", "bill", "energy"] {
-        in_document(&summary[part], used.entry("summary.json").or_default());
+    let runs =
+        [("busy", "1s", &["computing", "bill", "energy"][..]), ("warehouse-vla", "30s", &["inference"])];
+    for (testbed, until, parts) in runs {
+        let to = out.path().join(testbed);
+        let run =
+            cotorra(["run", "--headless", "--simulate", "--until", until, "--out"])
+                .arg(&to)
+                .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
+                .arg(project_file(&format!("testbeds/{testbed}.yaml")))
+                .output()
+                .unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        let folder = fs::read_dir(&to).unwrap().next().unwrap().unwrap().path();
+        let summary: Value =
+            serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
+        for part in parts {
+            in_document(&summary[part], used.entry("summary.json").or_default());
+        }
     }
 
     let (mut found, mut lacking) = (BTreeSet::new(), Vec::new());

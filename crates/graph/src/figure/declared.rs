@@ -158,6 +158,10 @@ figures! {
             "Price of the CPUs, the memory and the migrations of the VNFs of a service, over the run.";
         Energy = "energy" of "SERVICE", Energy, Lower, "energy_wh",
             "Energy of the CPU time of a service's VNFs on servers and robots, over the run.";
+        ActionAge = "action_age" of "SERVICE", Millis, Lower, "action_age_ms",
+            "95th percentile of the age of the actions that the robot of a service followed.";
+        Starved = "starved" of "SERVICE", Share, Lower, "starved",
+            "Share of control steps at which the robot of a service had no action to follow.";
         Handovers = "handovers" of "ROBOT", Number, Lower, "handovers", "Number of changes of attachment.";
         Detached = "detached" of "ROBOT", Millis, Lower, "detached_ms",
             "Time without a radio unit after the robot had lost one.";

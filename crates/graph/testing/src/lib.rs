@@ -14,7 +14,7 @@ use cotorra_graph::{
     Timestamp, Velocity, VirtualLink, Vnf, WifiStandard, WirelessNetwork,
 };
 
-const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
+const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30, accelerators: None };
 
 /// Returns a name of any kind.
 pub fn id<T: FromStr<Err: Debug>>(name: &str) -> T {
@@ -182,6 +182,7 @@ pub fn service(robot: &str, vnfs: Vec<Vnf>) -> Service {
         virtual_links: Vec::new(),
         kpis: kpis(Duration::from_millis(15)),
         requests: Default::default(),
+        policy: None,
     }
 }
 

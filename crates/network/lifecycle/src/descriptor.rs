@@ -335,6 +335,7 @@ impl Descriptor {
             Program::Navigation => (&[][..], "the bundled navigation"),
             Program::Localization => (&[][..], "the bundled localization"),
             Program::RosNavigation => (&[][..], "the bundled navigation in ROS"),
+            Program::PolicyServer(_) => (&[][..], "the bundled policy server"),
             Program::Command(words) | Program::Host(words) => (&words[..], "a VNF"),
         };
         let mut keys = json!({

@@ -12,6 +12,7 @@ mod answer_error;
 mod battery;
 mod beat;
 mod camera;
+mod chunks;
 mod driver;
 mod exchange;
 #[cfg(test)]
@@ -46,6 +47,7 @@ mod world;
 pub use answer_error::AnswerError;
 
 pub use camera::View;
+pub use chunks::{ActionChunks, Followed, Observed};
 pub use driver::{CommandError, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use large::{Captured, Content, SensedData};

@@ -411,8 +411,7 @@ impl RobotMiddleware {
         }
         let waypoint = service.map_or(0, ServiceEndpoint::waypoint);
         let is_held = managed.halted || service.is_some_and(ServiceEndpoint::is_at_goal);
-        let attached = managed.attachments.iter().find(|attachment| attachment.attached);
-        let radio_unit = attached.map(|attachment| attachment.radio_unit.clone());
+        let radio_unit = managed.radio_unit().cloned();
         managed.driver.advance(self.now);
         let pose = managed.driver.truth().unwrap_or_else(|| managed.sensors().pose);
         Some(Walker { robot: robot.clone(), waypoint, position: pose.position(), radio_unit, is_held })
@@ -421,6 +420,11 @@ impl RobotMiddleware {
     /// Returns the next deadline: of κ, a position packet, an answer, a scan or a sensor.
     pub fn next_deadline(&self) -> Timestamp {
         self.due.first().map_or(self.next_context, |(at, _)| self.next_context.min(*at))
+    }
+
+    /// Returns the radio unit that a robot is attached to.
+    pub fn radio_unit(&self, robot: &NodeId) -> Option<&NodeId> {
+        self.robots.get(robot)?.radio_unit()
     }
 
     /// Sets φ of a robot.
@@ -794,13 +798,15 @@ impl Managed {
         }
     }
 
+    /// Returns the radio unit that it is attached to.
+    fn radio_unit(&self) -> Option<&NodeId> {
+        let attached = self.attachments.iter().find(|attachment| attachment.attached);
+        attached.map(|attachment| &attachment.radio_unit)
+    }
+
     /// Returns the route of a request to these servers.
     fn route(&self, servers: &[(NodeId, Option<SocketAddrV4>)]) -> Route {
-        let attached = self.attachments.iter().find(|attachment| attachment.attached);
-        Route {
-            attachment: attached.map(|attachment| attachment.radio_unit.clone()),
-            servers: servers.to_vec(),
-        }
+        Route { attachment: self.radio_unit().cloned(), servers: servers.to_vec() }
     }
 
     /// Reports the position packets that were due before now and not sent, because this middleware was not run.

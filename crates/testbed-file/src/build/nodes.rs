@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, Band, Capacity, ChannelWidth, DomainId, Fading, Frames, Gateway, GuardInterval,
+    AgentId, BackgroundScan, Band, ChannelWidth, DomainId, Fading, Frames, Gateway, GuardInterval,
     HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, OccupancyGrid, PassiveVisits,
     PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Roaming, Robot, RobotClock, ScanVisits,
     Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
@@ -21,8 +21,8 @@ use crate::{
     },
     walls::WallLoss,
     yaml::{
-        Bytes, Sink,
-        decode::{Amount, Either, Spanned, words},
+        Sink,
+        decode::{Either, Spanned, words},
     },
 };
 
@@ -284,7 +284,7 @@ impl Builder<'_> {
                 let at_ports = r.interface.is_none() && radio == Some(None);
                 let driver = ros::driver(r, &id.value, at_ports, &mut host, self.sink);
                 let robot = Robot {
-                    capacity: capacity(r.cpus, r.memory),
+                    capacity: self.capacity(r.cpus, r.memory, r.accelerators.as_ref())?,
                     model: r.model,
                     network: network?,
                     tx_power: r.tx_power,
@@ -302,7 +302,7 @@ impl Builder<'_> {
                 let network = self.network(id, r.network.as_ref())?;
                 let places = (r.agent.as_ref(), r.interface.as_ref());
                 let unit = RadioUnit {
-                    capacity: capacity(r.cpus, r.memory),
+                    capacity: self.capacity(r.cpus, r.memory, None)?,
                     radio: self.radio(id, &network, places, r.bridge.as_ref())?,
                     network,
                     channel: r.channel.value,
@@ -317,7 +317,7 @@ impl Builder<'_> {
             NodeRecord::Server(s) => {
                 let server = Server {
                     tier: s.tier,
-                    capacity: capacity(s.cpus, s.memory),
+                    capacity: self.capacity(s.cpus, s.memory, s.accelerators.as_ref())?,
                     cost: s.cost.0,
                     used_cost: s.used_cost.0,
                     memory_cost: s.memory_cost.0,
@@ -560,10 +560,6 @@ fn fading(record: &Either<FadingWord, FadingRecord>) -> Fading {
             Fading { k_factor_db: long.k_factor.map(|k_factor| k_factor.0), motion_mps: long.motion.0 }
         }
     }
-}
-
-fn capacity(cpus: Amount, memory: Bytes) -> Capacity {
-    Capacity { cpus: cpus.0, memory_bytes: memory.0 }
 }
 
 /// Whether it has a network namespace on this machine.

@@ -39,6 +39,7 @@ impl Builder<'_> {
             }
             Some(VirtualLink { from: link.from.value.clone(), to: link.to.value.clone(), rate: link.rate })
         });
+        let policy = self.policy(record);
         let kpis = Kpis {
             service_time: record.kpis.service_time.value,
             kept: record.kpis.kept.as_ref().map(|kept| as_written(kept.value)),
@@ -57,6 +58,7 @@ impl Builder<'_> {
             virtual_links: virtual_links?,
             kpis,
             requests: record.requests.as_ref().map_or_else(Requests::default, |requests| requests.value),
+            policy: policy?,
         })
     }
 
@@ -65,6 +67,7 @@ impl Builder<'_> {
         let place = self.pinned_and_started(&id.span, record);
         let start = record.start_time.unwrap_or_default();
         let image = self.image(&record.container, start, record.processing_delay.as_ref());
+        self.no_inference(record);
         let computing = self.computing(record, program.as_ref());
         let cpu_limit = self.cpu_limit(record);
         let runs_others = record.container.image.is_some() || matches!(program, Some(Program::Command(_)));
@@ -121,6 +124,13 @@ impl Builder<'_> {
                 (ProgramWord::RosNavigation, None) => Some(Program::RosNavigation),
                 (ProgramWord::Navigation, _) => Some(Program::Navigation),
                 (ProgramWord::Localization, _) => Some(Program::Localization),
+                (ProgramWord::PolicyServer, Some(image)) => {
+                    self.sink
+                        .error(&image.span, "an image of a policy server")
+                        .help("leave out `image`: it runs in virtual time only, as a part of cotorra");
+                    None
+                }
+                (ProgramWord::PolicyServer, None) => self.policy_server(span, record),
             },
             (None, command, Some(_)) => self.words_in_image(command.as_ref()).map(Program::Command),
             (None, Some(command), None) => self.command(command).map(Program::Command),

@@ -7,7 +7,10 @@ use cotorra_graph::{
     VnfId,
 };
 
-use super::containers;
+use super::{
+    accelerators::{AcceleratorsInUse, policy},
+    containers,
+};
 use crate::{
     records::{ComposeRecord, ServiceRecord, TestbedRecord, VnfRecord},
     yaml::{
@@ -48,6 +51,7 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     let graph = &testbed.graph;
     let mut seen = HashSet::new();
     let mut used: HashMap<&NodeId, Capacity> = HashMap::new();
+    let mut accelerators = AcceleratorsInUse::default();
     for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
         for Placed { vnf, id, starts, .. } in placed(r, service) {
             if !seen.insert(&vnf.id) {
@@ -79,7 +83,14 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                     containers::no_image(place, vnf, node, &able, sink);
                     continue;
                 }
-                let all = used.entry(&node.id).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
+                if vnf.accelerator_bytes() > 0 {
+                    accelerators.place(node, vnf, place, &able, sink);
+                }
+                let all = used.entry(&node.id).or_insert(Capacity {
+                    cpus: 0.0,
+                    memory_bytes: 0,
+                    accelerators: None,
+                });
                 all.cpus += vnf.cpus;
                 all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
                 if able.is_empty() {
@@ -100,6 +111,7 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
             }
         }
         driver(r, service, testbed, sink);
+        policy(r, service, testbed, sink);
         flow(r, service, sink);
     }
 }
@@ -122,8 +134,11 @@ fn able<'a>(testbed: &'a Testbed, vnf: &Vnf) -> Vec<&'a str> {
 
 /// Whether a node alone has room for a VNF, and an engine for its image.
 pub(super) fn carries(node: &Node, vnf: &Vnf, all: &Containers) -> bool {
-    node.capacity().is_some_and(|c| vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes)
-        && (vnf.image.is_none() || containers::runs_images(all, node))
+    let fits = |c: Capacity| {
+        let memory = c.accelerators.map_or(0, |its| its.memory_bytes);
+        vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes && vnf.accelerator_bytes() <= memory
+    };
+    node.capacity().is_some_and(fits) && (vnf.image.is_none() || containers::runs_images(all, node))
 }
 
 fn amount(cpus: f64, memory_bytes: u64) -> String {
@@ -158,11 +173,12 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
         }
     }
     let is_asked = |vnf: &Vnf| vnf.program.serves_robots();
-    if let Some(requests) = record.requests.as_ref().filter(|_| !service.vnfs.iter().any(is_asked)) {
+    let asks = service.policy.is_some() || service.vnfs.iter().any(is_asked);
+    if let Some(requests) = record.requests.as_ref().filter(|_| !asks) {
         sink.error(&requests.span, "`requests` of a service that the robot asks nothing")
             .help("leave it out: where requests of your own programs go, these programs decide");
     }
-    if service.vnfs.is_empty() && service.kpis.flow.is_none() {
+    if service.vnfs.is_empty() && service.kpis.flow.is_none() && service.policy.is_none() {
         sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))
             .help("describe them under `vnfs:`, in the order in which packets visit them");
     }

@@ -20,18 +20,18 @@ impl Answerer {
     /// Returns the VNF of a service that runs this program.
     pub(crate) fn of(testbed: &Testbed, service: &Service, program: &Program) -> Option<Self> {
         let vnf = service.vnfs.iter().find(|vnf| vnf.program == *program)?;
-        Some(Self {
-            vnf: vnf.id.clone(),
-            port: wire::port(testbed, &vnf.id)?,
-            requests: service.requests,
-            nearest: Vec::new(),
-        })
+        Self::asking(testbed, &vnf.id, service.requests)
     }
 
     /// Returns a VNF of which the first serving instance is used.
     pub(crate) fn first_of(testbed: &Testbed, vnf: &VnfId) -> Option<Self> {
+        Self::asking(testbed, vnf, Requests::One)
+    }
+
+    /// Returns a VNF of any service whose instances are chosen in that way.
+    pub(crate) fn asking(testbed: &Testbed, vnf: &VnfId, requests: Requests) -> Option<Self> {
         let (vnf, port) = (vnf.clone(), wire::port(testbed, vnf)?);
-        Some(Self { vnf, port, requests: Requests::One, nearest: Vec::new() })
+        Some(Self { vnf, port, requests, nearest: Vec::new() })
     }
 
     /// Whether the distances of instances matter.

@@ -5,6 +5,7 @@
 mod answerers;
 pub(crate) mod images;
 pub(crate) mod message;
+mod policies;
 mod progress;
 pub(crate) mod script;
 mod trips;
@@ -33,9 +34,11 @@ use cotorra_robot_middleware::{
 };
 use cotorra_testbed_file::SCHEDULE;
 
+pub(crate) use self::policies::Observation;
 use self::{
     answerers::Answerer,
     images::Image,
+    policies::Policies,
     progress::Progress,
     script::{Change, Script},
     trips::Trips,
@@ -44,6 +47,7 @@ use crate::{
     border::{self, Border},
     computed::ComputedSoFar,
     domain::Domains,
+    followed::PolicyFollowed,
     given::Given,
     plugins::host::{Controlled, Fault},
     real::robots::RobotError,
@@ -79,6 +83,10 @@ pub(crate) struct Core<N, E> {
     data: VecDeque<SensedData>,
     /// Images to send.
     images: VecDeque<Image>,
+    /// Robots that follow models.
+    policies: Policies,
+    /// Observations to send.
+    observations: VecDeque<Observation>,
     events: VecDeque<Stamped>,
     script: Script,
     next_context: Timestamp,
@@ -127,6 +135,8 @@ impl<N: Network, E: Engine> Core<N, E> {
             receivers: images::receivers(&testbed),
             data: VecDeque::new(),
             images: VecDeque::new(),
+            policies: Policies::default(),
+            observations: VecDeque::new(),
             domains: Domains::new(&testbed),
             testbed,
             events: VecDeque::new(),
@@ -170,6 +180,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
         if !self.begun && self.control.all_ready() {
             self.begun = true;
+            self.policies = Policies::new(&self.testbed, now);
             self.progress.excuse(now);
         }
         if self.begun {
@@ -185,6 +196,7 @@ impl<N: Network, E: Engine> Core<N, E> {
                 self.trips.explain(nonce, sample);
             }
             self.take_data();
+            self.follow(now);
         }
         if now >= self.next_observation {
             self.next_observation = now + OBSERVATION;
@@ -193,6 +205,15 @@ impl<N: Network, E: Engine> Core<N, E> {
             self.report(now, events);
         }
         Ok(())
+    }
+
+    /// Lets robots follow models, and queues their observations.
+    fn follow(&mut self, now: Timestamp) {
+        let Self { policies, control, middleware, testbed, .. } = self;
+        let asked = |of: &Answerer| of.asked(control);
+        let radio_unit = |robot: &NodeId| middleware.radio_unit(robot).cloned();
+        self.observations.extend(policies.advance(now, testbed, asked, radio_unit));
+        self.events.extend(policies.samples());
     }
 
     /// Notes where robots on walks are.
@@ -238,18 +259,15 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// Sorts instances by their distance from each robot, for services that ask the nearest.
     fn find_nearest(&mut self) -> Result<(), NetworkGone> {
-        let answerers =
-            || self.navigators.iter().chain(&self.localizers).filter(|(_, of)| of.is_by_distance());
-        let wanted: Vec<_> = answerers().map(|(robot, of)| (robot.clone(), of.vnf.clone())).collect();
-        if wanted.is_empty() {
+        let Self { navigators, localizers, policies, control, .. } = self;
+        let answerers = navigators.iter_mut().chain(localizers).chain(policies.answerers());
+        let answerers: Vec<_> = answerers.filter(|(_, of)| of.is_by_distance()).collect();
+        if answerers.is_empty() {
             return Ok(());
         }
-        let nearest = self.control.by_distance(wanted)?;
-        let answerers = self.navigators.values_mut().chain(self.localizers.values_mut());
-        answerers
-            .filter(|of| of.is_by_distance())
-            .zip(nearest)
-            .for_each(|(of, nearest)| of.nearest = nearest);
+        let wanted = answerers.iter().map(|(robot, of)| ((*robot).clone(), of.vnf.clone())).collect();
+        let nearest = control.by_distance(wanted)?;
+        answerers.into_iter().zip(nearest).for_each(|((_, of), nearest)| of.nearest = nearest);
         self.stale_servers = true;
         Ok(())
     }
@@ -279,7 +297,11 @@ impl<N: Network, E: Engine> Core<N, E> {
     pub(crate) fn next_deadline(&self) -> Timestamp {
         let by_itself = self.control.next_deadline().into_iter().chain(self.script.next_deadline());
         let control = by_itself.fold(self.next_observation, Timestamp::min);
-        if self.begun { control.min(self.next_context).min(self.middleware.next_deadline()) } else { control }
+        if !self.begun {
+            return control;
+        }
+        let robots = [self.next_context, self.middleware.next_deadline()];
+        robots.into_iter().chain(self.policies.deadline()).fold(control, Timestamp::min)
     }
 
     /// Returns the next datagram that a robot sends at `now`.
@@ -301,6 +323,22 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Returns the next image that a robot sends to a VNF. Poll datagrams of the same moment first.
     pub(crate) fn poll_image(&mut self) -> Option<Image> {
         self.images.pop_front()
+    }
+
+    /// Returns the next observation that a robot sends to a model, in virtual time only.
+    pub(crate) fn poll_observation(&mut self) -> Option<Observation> {
+        self.observations.pop_front()
+    }
+
+    /// Takes a datagram of a model that came from a node to a robot.
+    pub(crate) fn receive_chunk(&mut self, now: Timestamp, robot: &NodeId, from: &NodeId, bytes: &[u8]) {
+        self.policies.receive(now, robot, from, bytes);
+        self.events.extend(self.policies.samples());
+    }
+
+    /// Returns what robots followed of models so far.
+    pub(crate) fn followed(&self, now: Timestamp) -> Vec<PolicyFollowed> {
+        self.policies.followed(now)
     }
 
     /// Returns every replica of every VNF with its instances, by the VNF's name.

@@ -41,7 +41,7 @@ struct Plugin {
 /// The source of a service's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Samples {
-    /// Its robot's walk or localization.
+    /// Its robot's walk or localization, or the model that its robot follows.
     Robot,
     /// A flow between programs.
     Flow,
@@ -52,7 +52,9 @@ pub(super) enum Samples {
 impl Samples {
     /// Returns where the samples of a service come from; `None` if it has none.
     fn of(testbed: &Testbed, service: &Service) -> Option<Self> {
-        let of_robot = service.localizes() || (service.navigates() && testbed.walk(&service.robot).is_some());
+        let of_robot = service.localizes()
+            || service.policy.is_some()
+            || (service.navigates() && testbed.walk(&service.robot).is_some());
         let of_flow = service.kpis.flow.as_ref().map(|_| Self::Flow);
         if of_robot { Some(Self::Robot) } else { of_flow }
     }

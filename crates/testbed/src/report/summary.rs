@@ -25,6 +25,7 @@ use super::{
     folder::FolderError,
     forged::ForgedSummary,
     gateways::GatewaySummary,
+    inference::InferenceSummary,
     instructed::{Instructed, PluginSummary},
     judged::{Judge, Judged},
     kept::{Kept, Verdict},
@@ -37,7 +38,7 @@ use super::{
     vnf_waits::VnfWaits,
     void::Void,
 };
-use crate::computed::ComputedSoFar;
+use crate::{computed::ComputedSoFar, virtual_time::InferredSoFar};
 
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
@@ -108,6 +109,9 @@ pub struct Summary {
     /// What VNFs with demands computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub computing: Option<ComputingSummary>,
+    /// What models on accelerators inferred, and how robots followed their actions, in virtual time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inference: Option<InferenceSummary>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
     /// What old context cost, by plug-in with a distance, beside the twins of the run; empty without twins.
@@ -359,6 +363,7 @@ pub struct Report {
     /// Of robots with emulated radios.
     airtimes: BTreeMap<NodeId, Airtime>,
     computed: ComputedSoFar,
+    inferred: InferredSoFar,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
@@ -427,6 +432,7 @@ impl Report {
             metering: Metering::new(testbed),
             airtimes: BTreeMap::new(),
             computed: ComputedSoFar::default(),
+            inferred: InferredSoFar::default(),
             pose_source: None,
             robots: testbed
                 .services
@@ -543,6 +549,11 @@ impl Report {
     /// Adds what arrived of sources' traffic.
     pub(crate) fn carried(&mut self, traffic: Vec<Measured>) {
         self.traffic = traffic;
+    }
+
+    /// Adds what models inferred and robots followed. It is in no event.
+    pub(crate) fn inferred(&mut self, inferred: InferredSoFar) {
+        self.inferred = inferred;
     }
 
     /// Adds what VNFs with demands computed. It is in no event.
@@ -737,6 +748,7 @@ impl Report {
                 .map(|billing| billing.bill(end, &self.computed.vnfs, energy.as_ref())),
             energy,
             computing: ComputingSummary::of(&self.computed, end.since(Timestamp::ZERO)),
+            inference: InferenceSummary::of(&self.inferred, end.since(Timestamp::ZERO)),
             plugins: self.instructed.summary(),
             staleness_regret: Vec::new(),
             plugin_faults: self.faults.clone(),

@@ -7,6 +7,7 @@ use serde::Deserialize;
 
 use super::{
     folder::{SUMMARY, read_file},
+    inference::PolicySummary,
     judged::{Judge, Judged, Kpi, ServiceKpis},
     kept::Verdict,
     summary::{RegionSummary, ServiceSummary, Summary},
@@ -126,6 +127,10 @@ impl ServiceSummary {
 }
 
 impl Summary {
+    fn policy(&self, its: &ServiceSummary) -> Option<&PolicySummary> {
+        self.inference.as_ref()?.policy(&its.service)
+    }
+
     /// Returns a figure of which the run has one number; of a service or its robot, if the figure is. `None` if it was not
     /// measured. The reliability and the cost are in no summary.
     pub fn total(&self, total: Total, its: &ServiceSummary) -> Option<f64> {
@@ -144,6 +149,8 @@ impl Summary {
             Total::RobotEnergy => self.energy.as_ref()?.of_robot(&its.robot),
             Total::BatteryLeft => self.energy.as_ref()?.battery_left(&its.robot),
             Total::TotalEnergy => self.energy.as_ref()?.total(),
+            Total::ActionAge => Some(self.policy(its)?.action_age_ms?.p95),
+            Total::Starved => self.policy(its)?.starved,
             Total::Handovers => robot().map(|robot| count(robot.handovers)),
             Total::Detached => robot().map(|robot| robot.detached_ms),
             Total::Driven => driving().map(|driving| driving.driven_m),

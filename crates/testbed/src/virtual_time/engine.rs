@@ -16,16 +16,19 @@ use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
 use super::{
+    accelerators::{AllAccelerators, InferredSoFar},
     computers::{Answer, Computers},
     interference::Held,
 };
-use crate::computed::ComputedSoFar;
+use crate::{computed::ComputedSoFar, followed::PolicyFollowed, parcel::Parcels};
 
 /// The state of a bundled VNF.
 #[derive(Clone)]
 enum Bundled {
     Navigation(NavigationVnf),
     Localization(Box<LocalizationVnf>),
+    /// Parts of observations. Its answers come from an accelerator.
+    PolicyServer(Parcels),
 }
 
 impl Bundled {
@@ -34,6 +37,10 @@ impl Bundled {
         match self {
             Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
             Self::Localization(vnf) => vnf.answer(datagram, answer).is_ok(),
+            Self::PolicyServer(parcels) => {
+                answer.extend(datagram);
+                parcels.receive(datagram).is_some()
+            }
         }
     }
 }
@@ -50,6 +57,14 @@ pub enum Mood {
     Hung,
 }
 
+/// What the answers of an instance take time of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Takes {
+    Nothing,
+    Cpus,
+    Accelerator,
+}
+
 struct Instance {
     id: InstanceId,
     vnf: VnfId,
@@ -57,8 +72,8 @@ struct Instance {
     bundled: Option<(u16, Bundled)>,
     /// Time from a request to its answer.
     processing: Duration,
-    /// Whether its answers take time of its node's CPUs.
-    computes: bool,
+    /// What its answers take time of.
+    takes: Takes,
     mood: Mood,
     /// Time from which it can serve.
     serves_at: Timestamp,
@@ -77,6 +92,7 @@ struct Instances {
     /// Whether started instances stay unready until this ends.
     starts_held: bool,
     computers: Computers,
+    accelerators: AllAccelerators,
 }
 
 impl Instances {
@@ -90,7 +106,10 @@ impl Instances {
         for (node, here) in &mut self.by_node {
             removed.extend(here.extract_if(.., |instance| is_removed(node, instance)).map(|its| its.id));
         }
-        removed.iter().for_each(|id| self.computers.stop(self.now, *id));
+        for id in &removed {
+            self.computers.stop(self.now, *id);
+            self.accelerators.stop(self.now, *id);
+        }
         removed
     }
 
@@ -120,13 +139,13 @@ pub struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
     /// Writes the answer of a node's VNFs to a datagram into the payload, which the port `from` sends. Returns it with its
-    /// delay, unless it has to be computed or there is none.
+    /// delay, unless it has to be computed or inferred, or there is none.
     pub(super) fn answer(&self, node: &NodeId, datagram: &[u8], mut held: Held) -> Option<Answer> {
         let mut all = self.0.lock();
         let all = &mut *all;
         let slow = all.slow.get(node).copied().unwrap_or_default();
         let mut here = all.by_node.get_mut(node).into_iter().flatten().filter(|instance| instance.is_ready);
-        let (computing, later) = here.find_map(|instance| {
+        let (takes, id, later) = here.find_map(|instance| {
             let (_, program) = instance.bundled.as_mut().filter(|(its, _)| *its == held.from.1)?;
             let later = match instance.mood {
                 Mood::Prompt => Duration::ZERO,
@@ -134,20 +153,22 @@ impl Serving {
                 Mood::Hung => return None,
             };
             let answers = program.answer(datagram, &mut held.payload);
-            let computing = instance.computes.then_some(instance.id);
-            answers.then_some((computing, later + instance.processing + slow))
+            answers.then_some((instance.takes, instance.id, later + instance.processing + slow))
         })?;
         let answer = Answer { held, later };
-        let Some(instance) = computing else { return Some(answer) };
-        all.computers.arrive(all.now, instance, datagram.len(), answer);
+        match takes {
+            Takes::Nothing => return Some(answer),
+            Takes::Cpus => all.computers.arrive(all.now, id, datagram.len(), answer),
+            Takes::Accelerator => all.accelerators.arrive(all.now, id, answer),
+        }
         None
     }
 
-    /// Returns the next answer that is computed.
+    /// Returns the next answer that is computed or inferred.
     pub(super) fn poll(&self) -> Option<Answer> {
         let mut all = self.0.lock();
         let now = all.now;
-        all.computers.poll(now)
+        all.computers.poll(now).or_else(|| all.accelerators.poll(now))
     }
 
     /// Returns the contexts of servers, if they are due.
@@ -162,6 +183,11 @@ impl Serving {
         let all = self.0.lock();
         all.computers.computed(all.now)
     }
+
+    /// Returns what models did so far, beside what robots followed.
+    pub(super) fn inferred(&self, policies: Vec<PolicyFollowed>) -> InferredSoFar {
+        self.0.lock().accelerators.inferred(policies)
+    }
 }
 
 impl Serving {
@@ -175,7 +201,8 @@ impl Serving {
     /// Returns when the next instance can serve, or the next answer is computed.
     pub(super) fn next_deadline(&self) -> Option<Timestamp> {
         let mut all = self.0.lock();
-        let computed = all.computers.next_deadline();
+        let computed = [all.computers.next_deadline(), all.accelerators.next_deadline()];
+        let computed = computed.into_iter().flatten().min();
         if all.starts_held {
             return computed;
         }
@@ -236,7 +263,11 @@ pub(crate) struct VirtualEngine {
 impl VirtualEngine {
     /// Plans all walks, and prepares the map.
     pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
-        serving.0.lock().computers = Computers::new(testbed, seed);
+        {
+            let mut all = serving.0.lock();
+            all.computers = Computers::new(testbed, seed);
+            all.accelerators = AllAccelerators::new(testbed);
+        }
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed)?;
         let planned = testbed.services.iter().flat_map(|service| {
@@ -247,6 +278,7 @@ impl VirtualEngine {
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
+                    Program::PolicyServer(_) => Bundled::PolicyServer(Parcels::default()),
                     // A robot in ROS is rejected before.
                     Program::Command(_)
                     | Program::Host(_)
@@ -271,13 +303,18 @@ impl Engine for VirtualEngine {
         let now = all.now;
         let serves_at = now + vnf.start_time();
         all.computers.start(now, id, vnf, replica, node)?;
-        let computes = all.computers.compute(&vnf.id);
+        all.accelerators.start(now, id, vnf, node)?;
+        let takes = match vnf.policy_server() {
+            Some(_) => Takes::Accelerator,
+            None if all.computers.compute(&vnf.id) => Takes::Cpus,
+            None => Takes::Nothing,
+        };
         all.by_node.entry(node.clone()).or_default().push(Instance {
             id,
             vnf: vnf.id.clone(),
             bundled,
             processing,
-            computes,
+            takes,
             mood: Mood::default(),
             serves_at,
             is_ready: false,

@@ -1,6 +1,7 @@
 //! A testbed in virtual time: the same core, fabric, robots and plug-ins as in real time, driven by their deadlines instead
 //! of a clock. Nothing sleeps, all randomness comes from the seed, and the same seed gives the same events.
 
+mod accelerators;
 mod altered;
 mod computers;
 mod engine;
@@ -14,7 +15,7 @@ mod unrecorded;
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
-    net::Ipv4Addr,
+    net::{Ipv4Addr, SocketAddrV4},
     sync::Arc,
     time::Duration,
 };
@@ -30,6 +31,12 @@ use cotorra_network_control::{InstructionError, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 use cotorra_traffic::{Measured, Sources};
 
+pub(crate) use self::{
+    accelerators::{AcceleratorsUse, InferredSoFar, ModelUse},
+    computers::{Computed, ComputedSoFar, UsedComputer},
+    engine::VirtualEngine,
+    network::VirtualNetwork,
+};
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
     engine::{Mood, Serving},
@@ -46,7 +53,7 @@ use self::{
 pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
     computed::ComputedSoFar,
-    core::{Core, script::Script},
+    core::{Core, Observation, script::Script},
     domain::Domains,
     error::RunError,
     given::Given,
@@ -65,6 +72,8 @@ use crate::{
 const ROBOT_PORT: u16 = 40_000;
 /// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
+/// Port of robots that follow models.
+const POLICY_PORT: u16 = 40_003;
 
 /// Returns the testbed as it is in virtual time: all servers are emulated, and robots at agents simulated.
 fn emulated(mut testbed: Arc<Testbed>) -> Arc<Testbed> {
@@ -90,6 +99,8 @@ pub struct Simulation {
     /// Ledgers that orchestrators share.
     ledgers: Ledgers,
     ports: HashMap<Ipv4Addr, PortId>,
+    /// Datagrams of policies from hosts to themselves, which never leave these.
+    looped: VecDeque<Held>,
     outputs: VecDeque<Output>,
     /// Number of events in `outputs`.
     events: usize,
@@ -202,7 +213,8 @@ impl Simulation {
                 Program::RobotDriver
                 | Program::Navigation
                 | Program::Localization
-                | Program::RosNavigation => continue,
+                | Program::RosNavigation
+                | Program::PolicyServer(_) => continue,
             };
             let message =
                 format!("{what} {} does not run: in virtual time no program of others does", vnf.id);
@@ -224,6 +236,7 @@ impl Simulation {
             forking: None,
             ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
+            looped: VecDeque::new(),
             outputs: VecDeque::new(),
             events: 0,
             alarm: None,
@@ -449,6 +462,11 @@ impl Simulation {
         self.network.fabric().airtimes()
     }
 
+    /// Returns what models on accelerators did so far, and what robots followed of them.
+    pub(crate) fn inferred(&self) -> InferredSoFar {
+        self.serving.inferred(self.core.followed(self.now()))
+    }
+
     /// Returns the localization errors so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
@@ -495,6 +513,13 @@ impl Simulation {
                 image.send(|bytes| self.send(now, (from, IMAGE_PORT), (to, image.to.port()), bytes));
             }
         }
+        while let Some(Observation { robot, to, parcel, bytes }) = self.core.poll_observation() {
+            let (Some(from), Some(server)) = (self.port(&robot), self.port_at(*to.ip())) else { continue };
+            if !self.interference.is_silent(&robot) {
+                let datagrams = parcel.datagrams(bytes);
+                datagrams.for_each(|part| self.send(now, (from, POLICY_PORT), (server, to.port()), &part));
+            }
+        }
         while let Some(Held { from, to, payload }) = self.interference.release(now) {
             if let Some(receiver) = self.port_at(to.0) {
                 self.send(now, from, (receiver, to.1), &payload);
@@ -515,8 +540,13 @@ impl Simulation {
             while let Some(event) = self.network.next_event() {
                 self.core.observe(event);
             }
-            if delivered.is_empty() {
+            let looped = std::mem::take(&mut self.looped);
+            if delivered.is_empty() && looped.is_empty() {
                 return;
+            }
+            for Held { from: (port, from), to: (address, to), payload } in looped {
+                let from = SocketAddrV4::new(address, from);
+                self.receive(now, port, &cotorra_flows::Datagram { from, to, payload: &payload });
             }
             for (port, frame) in delivered {
                 self.deliver(now, port, frame.bytes());
@@ -540,8 +570,14 @@ impl Simulation {
         if self.traffic.handle(now, port.0, frame) {
             return;
         }
+        if let Some(datagram) = udp::receive(frame, port) {
+            self.receive(now, port, &datagram);
+        }
+    }
+
+    /// Receives a datagram at a host.
+    fn receive(&mut self, now: Timestamp, port: PortId, datagram: &cotorra_flows::Datagram<'_>) {
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
-        let Some(datagram) = udp::receive(frame, port) else { return };
         if datagram.to == CONTROL_PORT {
             let sender = self.port_at(*datagram.from.ip());
             let from = sender.and_then(|sender| self.network.fabric().host(sender).cloned());
@@ -557,6 +593,14 @@ impl Simulation {
             }
             self.interference.note_answer(&host, datagram.from, datagram.payload);
             return self.core.receive(now, &host, datagram.from, datagram.payload);
+        }
+        if datagram.to == POLICY_PORT {
+            let sender = self.port_at(*datagram.from.ip());
+            let from = sender.and_then(|sender| self.network.fabric().host(sender).cloned());
+            if let Some(from) = from.filter(|_| !self.interference.is_silent(&host)) {
+                self.core.receive_chunk(now, &host, &from, datagram.payload);
+            }
+            return;
         }
         let to = (*datagram.from.ip(), datagram.from.port());
         let held = Held { from: (port, datagram.to), to, payload: Vec::with_capacity(128) };
@@ -577,6 +621,10 @@ impl Simulation {
     }
 
     fn send(&mut self, now: Timestamp, from: (PortId, u16), to: (PortId, u16), payload: &[u8]) {
+        if from.0 == to.0 && [from.1, to.1].contains(&POLICY_PORT) {
+            let to = (HostAddress::of(to.0.0).ipv4, to.1);
+            return self.looped.push_back(Held { from, to, payload: payload.to_vec() });
+        }
         let mut fabric = self.network.fabric();
         let mut buffer = fabric.buffer(0);
         udp::build(&mut buffer, from, to, payload);

@@ -271,6 +271,7 @@ pub(super) fn simulate_with(
     report.carried(simulation.traffic());
     report.computed(simulation.computed());
     report.sent(simulation.airtimes());
+    report.inferred(simulation.inferred());
     let recording = recording.map(Recording::finish);
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
     unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));

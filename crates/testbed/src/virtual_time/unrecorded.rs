@@ -99,6 +99,7 @@ fn in_memory(
         report.carried(simulation.traffic());
         report.computed(simulation.computed());
         report.sent(simulation.airtimes());
+        report.inferred(simulation.inferred());
         let summary = report.summary(now, end.as_str(), Losses::default());
         return Ok(Some(UnrecordedRun { summary, forked: simulation.forked().cloned() }));
     }

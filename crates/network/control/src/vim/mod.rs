@@ -364,6 +364,7 @@ impl<E: Engine> Vim<E> {
         }
         for node in nodes.all().iter().filter(|node| !group.is_on(node)) {
             self.check_room(vnf, group.vnf.cpus, group.vnf.memory_bytes, node)?;
+            self.check_accelerator(&group.vnf, node)?;
         }
         let mut events = Vec::new();
         let (given_up, starts) = self.groups[index].assign(nodes.all());
@@ -504,6 +505,27 @@ impl<E: Engine> Vim<E> {
             );
         }
         Ok(())
+    }
+
+    /// Checks whether an accelerator of a node has room for a VNF, besides all others that are there or moving there.
+    fn check_accelerator(&self, vnf: &Vnf, id: &NodeId) -> Result<(), VimError> {
+        let needed = vnf.accelerator_bytes();
+        if needed == 0 {
+            return Ok(());
+        }
+        let no_room = |free: String| {
+            let needed = format!("{} MB of an accelerator", needed / 1_000_000);
+            Err(VimError::NoRoom { vnf: vnf.id.clone(), node: id.clone(), needed, free })
+        };
+        let accelerators = self.graph.node(id).and_then(|node| node.capacity()?.accelerators);
+        let Some(accelerators) = accelerators else { return no_room("no accelerator".to_owned()) };
+        let others = self.groups.iter().filter(|group| group.vnf.id != vnf.id && group.is_on(id));
+        let taken = accelerators.taken(others.map(|group| group.vnf.accelerator_bytes()));
+        let most_free = accelerators.memory_bytes - taken.iter().min().copied().unwrap_or_default();
+        match accelerators.place(&taken, needed) {
+            Some(_) => Ok(()),
+            None => no_room(format!("{} MB", most_free / 1_000_000)),
+        }
     }
 
     fn index(&self, vnf: &VnfId) -> Option<usize> {

@@ -5,7 +5,7 @@ use cotorra_graph_testing as base;
 use super::*;
 
 fn server(id: &str, cpus: f64) -> Node {
-    let capacity = Capacity { cpus, memory_bytes: 8 << 30 };
+    let capacity = Capacity { cpus, memory_bytes: 8 << 30, accelerators: None };
     base::node(id, NodeKind::Server(Server { capacity, ..base::server() }))
 }
 

@@ -252,6 +252,7 @@ fn flow_of_a(protocol: FlowProtocol) -> Service {
         virtual_links: Vec::new(),
         kpis,
         requests: Default::default(),
+        policy: None,
     }
 }
 

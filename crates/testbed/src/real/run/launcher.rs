@@ -83,6 +83,7 @@ impl Launcher for NodeLauncher {
         let word = match vnf.program {
             Program::Localization => "localization",
             Program::RosNavigation => "ros-navigation",
+            Program::PolicyServer(_) => return Err("a policy server runs in virtual time only".to_owned()),
             _ => "navigation",
         };
         // The file of this process, even if it was replaced on the disk since.

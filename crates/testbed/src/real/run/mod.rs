@@ -103,6 +103,9 @@ impl Run {
     /// settings or ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, options: Options) -> Result<Self, RunError> {
         traffic::check_real(&testbed)?;
+        if let Some(vnf) = testbed.vnfs().find(|vnf| vnf.policy_server().is_some()) {
+            return Err(RunError::RealPolicyServer(vnf.id.clone()));
+        }
         for kept in clean().kept {
             tracing::warn!("leftovers of a killed run stay: {kept}");
         }

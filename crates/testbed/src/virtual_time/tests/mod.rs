@@ -9,6 +9,7 @@ mod corruption;
 mod distance;
 mod energy;
 mod federation;
+mod inference;
 mod large_data;
 mod localization;
 mod replica;
