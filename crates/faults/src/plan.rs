@@ -356,6 +356,7 @@ impl Names {
             image: draw.chance(0.5).then(|| Box::new(image)),
             start: Duration::ZERO,
             computing: None,
+            state: None,
         };
         Instruction::AddVnf { vnf: Box::new(vnf) }
     }

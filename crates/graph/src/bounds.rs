@@ -230,8 +230,9 @@ impl Bounded for Box<Vnf> {
             image,
             start,
             computing,
+            state,
         } = &**self;
-        fixed(&(cpus, cpu_limit, memory_bytes, keep, start));
+        fixed(&(cpus, cpu_limit, memory_bytes, keep, start, state.as_deref()));
         if let Some(Computing { demand, per_kb, scheduling, backlog, warm_up }) = computing.as_deref() {
             fixed(&(per_kb, scheduling, backlog, warm_up));
             if let Demand::Samples { samples } = demand {

@@ -52,6 +52,7 @@ mod search;
 mod sensor;
 mod service;
 mod staleness;
+mod state_transfer;
 mod testbed;
 mod time_parts;
 mod traffic;
@@ -130,6 +131,7 @@ pub use search::{Arrival, cheapest_paths, steps_back};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use staleness::{ContextKind, Staleness};
+pub use state_transfer::{PreCopy, StateTransfer, TransferMethod};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Retention, Retentions, Testbed,
     Walk,

@@ -13,6 +13,7 @@ use crate::{
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
     nodes::Nodes,
+    state_transfer::StateTransfer,
     units::{BitRate, Position, Probability, millis},
 };
 
@@ -112,6 +113,9 @@ pub struct Vnf {
     /// How it computes its answers; `None` if that takes no time of a CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub computing: Option<Box<Computing>>,
+    /// Its state, which is copied when it moves in virtual time; `None` if another instance starts without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<Box<StateTransfer>>,
 }
 
 impl Vnf {

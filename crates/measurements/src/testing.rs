@@ -453,6 +453,7 @@ fn added_vnf() -> impl Strategy<Value = Vnf> {
             cpu_limit: None,
             start: Duration::ZERO,
             computing: None,
+            state: None,
         },
     )
 }

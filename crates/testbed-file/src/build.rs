@@ -21,6 +21,7 @@ mod ros;
 mod script;
 mod sensors;
 mod services;
+mod state;
 mod traffic;
 mod wifi_software;
 

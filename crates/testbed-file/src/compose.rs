@@ -336,6 +336,7 @@ fn vnf(id: &VnfId, record: &ServiceRecord, folder: &Path, node: &NodeId, sink: &
         cpu_limit: None,
         start: Duration::ZERO,
         computing: None,
+        state: None,
     })
 }
 

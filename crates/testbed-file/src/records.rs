@@ -2,6 +2,7 @@
 
 mod distributions;
 mod power;
+mod state;
 mod traffic;
 
 use std::{net::Ipv4Addr, time::Duration};
@@ -14,7 +15,7 @@ use cotorra_graph::{
     SensorId, ServiceId, Tier, TrafficId, VnfId, Volume, WifiStandard,
 };
 
-pub(crate) use self::{distributions::*, power::*, traffic::*};
+pub(crate) use self::{distributions::*, power::*, state::*, traffic::*};
 use crate::{
     image::{Device, Reference},
     walls::WallLoss,
@@ -1391,6 +1392,8 @@ record! {
         warm_up: Option<Spanned<WarmUpRecord>>,
         /// The model of a `policy_server`, in virtual time.
         inference: Option<Spanned<InferenceRecord>>,
+        /// State that is copied when it moves in virtual time. Without it: another instance starts without.
+        state: Option<Spanned<StateRecord>>,
         /// Time that a container takes from a request to its answer, in virtual time. Without it: none.
         processing_delay: Option<Spanned<Duration>>,
         ..container: ContainerRecord,

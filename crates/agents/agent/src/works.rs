@@ -119,6 +119,7 @@ pub(crate) mod tests {
             cpu_limit: None,
             start: Default::default(),
             computing: None,
+            state: None,
         }
     }
 

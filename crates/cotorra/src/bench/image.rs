@@ -276,6 +276,7 @@ fn vnf(args: &ImageArgs) -> Vnf {
         cpu_limit: None,
         start: Duration::ZERO,
         computing: None,
+        state: None,
     }
 }
 

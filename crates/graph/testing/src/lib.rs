@@ -215,6 +215,7 @@ pub fn vnf(name: &str, node: &str) -> Vnf {
         image: None,
         start: Default::default(),
         computing: None,
+        state: None,
     }
 }
 

@@ -99,6 +99,7 @@ async fn run(daemon: &Daemon, name: &str, run: &str) -> Result<(), TrialError> {
         cpu_limit: None,
         start: Duration::ZERO,
         computing: None,
+        state: None,
     };
     let container = Spec {
         vnf: &vnf,

@@ -222,6 +222,7 @@ fn vnf<S: Subject + ?Sized>(subject: &S, id: &str, words: &[&str]) -> Vnf {
         cpu_limit: None,
         start: Default::default(),
         computing: None,
+        state: None,
     }
 }
 

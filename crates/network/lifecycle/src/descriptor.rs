@@ -382,6 +382,7 @@ impl Descriptor {
             cpu_limit: None,
             start: Default::default(),
             computing: None,
+            state: None,
         }
     }
 

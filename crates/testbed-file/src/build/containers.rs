@@ -175,6 +175,7 @@ impl Builder<'_> {
             cpu_limit: None,
             start: Duration::ZERO,
             computing: None,
+            state: None,
         }))
     }
 }

@@ -69,6 +69,7 @@ impl Builder<'_> {
         let image = self.image(&record.container, start, record.processing_delay.as_ref());
         self.no_inference(record);
         let computing = self.computing(record, program.as_ref());
+        let state = self.state(record, program.as_ref());
         let cpu_limit = self.cpu_limit(record);
         let runs_others = record.container.image.is_some() || matches!(program, Some(Program::Command(_)));
         let program = program?;
@@ -88,6 +89,7 @@ impl Builder<'_> {
             start: if record.container.image.is_some() { Duration::ZERO } else { start },
             image: image?.map(Box::new),
             computing: computing?,
+            state: state?,
         })
     }
 

@@ -38,6 +38,7 @@ fn service(names: &[&str], owner: Option<DomainId>) -> Applications {
         cpu_limit: None,
         start: Default::default(),
         computing: None,
+        state: None,
     };
     let kpis = Kpis {
         service_time: std::time::Duration::from_millis(15),
