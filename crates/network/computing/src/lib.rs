@@ -4,7 +4,7 @@
 //! [`Server`] is a state machine without a clock. It has CPUs of a speed. A request uses at most one CPU, and an instance of a
 //! VNF at most its limit. Instances that want more together than the server has share its CPUs max-min fairly. Within an
 //! instance, requests wait for one of its workers in the order of their arrival, or share its CPUs evenly. [`Demands`] draws
-//! the demands of an instance's requests.
+//! the demands of an instance's requests. [`Migration`] moves an instance with its state to another server.
 //!
 //! [`Accelerator`] is a state machine, too. A model on it takes waiting requests as a batch, whose time depends on its size. One
 //! batch is served at a time.
@@ -17,6 +17,7 @@
 mod accelerator;
 mod demands;
 mod instance;
+mod migration;
 mod server;
 mod share;
 
@@ -24,5 +25,6 @@ pub use self::{
     accelerator::{Accelerator, BatchLoad, Inferred},
     demands::Demands,
     instance::{Limits, Load},
+    migration::{Migration, MigrationFigures},
     server::{Finished, Key, Refused, Server},
 };
