@@ -5,6 +5,7 @@
 mod bbr;
 mod completions;
 mod connections;
+mod copies;
 mod measured;
 mod receiver;
 mod rtt;
@@ -20,11 +21,12 @@ use cotorra_flows::headers::{ETHERNET, IPV4, u16_at};
 use cotorra_graph::{Load, Timestamp, TrafficSource};
 use cotorra_numbers::{Draws, Gathered, Quantiles};
 
+pub use copies::{Copies, CopyId};
 pub use measured::{CompletionTimes, Measured, TcpMeasured, TransfersMeasured, UdpMeasured};
 
 use crate::{
     connections::Connections,
-    segment::{Ends, address},
+    segment::{Ends, is_from},
 };
 
 /// Ports of the first source, at both ends. Each source has its own.
@@ -241,11 +243,6 @@ impl Flow {
             tcp,
         }
     }
-}
-
-/// Whether a frame names a host as the sender of its IPv4 packet.
-fn is_from(frame: &[u8], host: usize) -> bool {
-    frame.get(ETHERNET + 12..ETHERNET + 16).is_some_and(|source| source == address(host).ipv4.octets())
 }
 
 #[cfg(test)]

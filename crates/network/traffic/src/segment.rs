@@ -57,6 +57,11 @@ pub(crate) fn address(place: usize) -> HostAddress {
     HostAddress::of(place % HostAddress::MAX_HOSTS)
 }
 
+/// Whether a frame names a host as the sender of its IPv4 packet.
+pub(crate) fn is_from(frame: &[u8], host: usize) -> bool {
+    frame.get(ETHERNET + 12..ETHERNET + 16).is_some_and(|source| source == address(host).ipv4.octets())
+}
+
 /// A range of sequence numbers, the end excluded.
 pub type Block = (u32, u32);
 

@@ -214,6 +214,11 @@ impl Sender {
         self.end = Some(self.end.unwrap_or(u64::MAX).min(self.next.max(1)));
     }
 
+    /// Sends so many more bytes, if their number is bounded.
+    pub(crate) fn add(&mut self, bytes: u64) {
+        self.end = self.end.map(|end| end.saturating_add(bytes));
+    }
+
     /// Whether so many bytes are acknowledged.
     pub(crate) fn has_delivered(&self, bytes: u64) -> bool {
         self.acknowledged > bytes

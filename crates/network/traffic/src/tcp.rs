@@ -71,6 +71,16 @@ impl Connection {
         }
     }
 
+    /// Sends so many more bytes, if their number is bounded.
+    pub(crate) fn add(&mut self, bytes: u64) {
+        self.sender.add(bytes);
+    }
+
+    /// Returns the bytes that arrived in order.
+    pub(crate) fn arrived(&self) -> u64 {
+        self.receiver.bytes()
+    }
+
     /// Whether so many bytes arrived in order.
     pub(crate) fn has_arrived(&self, bytes: u64) -> bool {
         self.receiver.bytes() >= bytes
