@@ -142,7 +142,8 @@ fn build(
         sink.error(&record.free_thresh.span, "the free threshold is above the occupied one")
             .help("write a smaller share, usually 0.196");
     }
-    let Mode::Trinary = record.mode;
+    // map_server does not read the type, either.
+    let (Mode::Trinary, _) = (record.mode, &record.map_type);
     let unexplored_floor = std::cell::Cell::new(0_usize);
     let cell = |brightness: f64| {
         let occupancy = if record.negate.0 { brightness } else { 1.0 - brightness };

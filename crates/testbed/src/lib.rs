@@ -62,7 +62,16 @@ pub use real::{
     rehearse::{interface_plans, rehearse},
     run::Run,
 };
-pub use report::{AcceleratorsSummary, Battery, Bill, ComputerSummary, ComputingSummary, DataTable, DomainBill, DomainEnergy, EnergyBill, EnergySummary, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, InferenceSummary, Judged, Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts, ModelSummary, PartSummary, Place, PolicySummary, Quantiles, RadioEnergy, RegionSummary, Report, RobotEnergy, RobotSummary, ServerBill, ServerEnergy, ServiceBill, ServiceEnergy, ServiceKpis, ServiceParts, ServiceSummary, StalenessRegret, Summary, Taken, Verdict, VnfComputing, Void, WORST_ROBOTS, by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file, write_samples};
+pub use report::{
+    AcceleratorsSummary, Battery, Bill, ComputerSummary, ComputingSummary, DataTable, DomainBill,
+    DomainEnergy, EnergyBill, EnergySummary, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary,
+    GatewaySummary, InferenceSummary, Judged, Kept, LinkBill, LocalizationSummary, LostSummary, MeanParts,
+    MigrationSummary, ModelSummary, PartSummary, Place, PolicySummary, Quantiles, RadioEnergy, RegionSummary,
+    Report, RobotEnergy, RobotSummary, ServerBill, ServerEnergy, ServiceBill, ServiceEnergy, ServiceKpis,
+    ServiceParts, ServiceSummary, StalenessRegret, Summary, Taken, Verdict, VnfComputing, Void, WORST_ROBOTS,
+    by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file,
+    write_samples,
+};
 pub use twin::{MaybeTwin, TwinError, beside_core, check_twin, distant};
 pub use virtual_time::{
     Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, first_requests,

@@ -25,6 +25,8 @@ const FEWEST_SAMPLES: usize = 2;
 
 /// Number of starved VNFs that are listed.
 const WORST_VNFS: usize = 5;
+/// Most migrations with a row of their own.
+const MOST_MIGRATIONS: usize = 10;
 
 /// Describes the results of a run, and lists its files.
 pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
@@ -228,6 +230,12 @@ fn figures(summary: &Summary, several: bool) -> Table {
         for node in inference.nodes.iter().filter(|node| node.busy > 0.0) {
             table.row([format!("node {}", node.node), node.sentence()]);
         }
+    }
+    for migration in summary.migrations.iter().take(MOST_MIGRATIONS) {
+        table.row([format!("VNF {}", migration.vnf), migration.sentence()]);
+    }
+    if let Some(more @ 1..) = summary.migrations.len().checked_sub(MOST_MIGRATIONS) {
+        table.row([format!("{} more", count(more, "migration")), "in summary.json".to_owned()]);
     }
     for plugin in &summary.plugins {
         table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);

@@ -11,7 +11,10 @@ use cotorra_graph::{Better, FIGURES, FigureKind, SensorKind};
 use cotorra_testbed::ForgedSummary;
 use serde_json::Value;
 
-use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
+use crate::{
+    harness::{corridor, cotorra, project_file, stderr, stdout},
+    migrations,
+};
 
 /// Statistics in names, before the unit.
 const STATISTICS: [&str; 9] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high", "difference"];
@@ -309,13 +312,12 @@ fn every_figure_is_documented_with_its_unit() {
         [("busy", "1s", &["computing", "bill", "energy"][..]), ("warehouse-vla", "30s", &["inference"])];
     for (testbed, until, parts) in runs {
         let to = out.path().join(testbed);
-        let run =
-            cotorra(["run", "--headless", "--simulate", "--until", until, "--out"])
-                .arg(&to)
-                .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
-                .arg(project_file(&format!("testbeds/{testbed}.yaml")))
-                .output()
-                .unwrap();
+        let run = cotorra(["run", "--headless", "--simulate", "--until", until, "--out"])
+            .arg(&to)
+            .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
+            .arg(project_file(&format!("testbeds/{testbed}.yaml")))
+            .output()
+            .unwrap();
         assert!(run.status.success(), "{}", stderr(&run));
         let folder = fs::read_dir(&to).unwrap().next().unwrap().unwrap().path();
         let summary: Value =
@@ -324,6 +326,10 @@ fn every_figure_is_documented_with_its_unit() {
             in_document(&summary[part], used.entry("summary.json").or_default());
         }
     }
+
+    let state = "{ size: 10 MB, migration: pre_copy, dirty_rate: 20 Mbit/s }";
+    let (summary, _) = migrations::moved(&out.path().join("moved"), state);
+    in_document(&summary["migrations"], used.entry("summary.json").or_default());
 
     let (mut found, mut lacking) = (BTreeSet::new(), Vec::new());
     for (place, names) in &used {

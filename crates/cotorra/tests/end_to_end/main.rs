@@ -43,6 +43,7 @@ mod localize;
 mod map;
 mod margin;
 mod mec;
+mod migrations;
 mod netem;
 mod netem_at_agents;
 mod netem_links;

@@ -39,6 +39,22 @@ pub trait Engine {
     /// The reason for which a start is impossible, for people.
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String>;
 
+    /// Begins to start an instance that takes over the state of another one of its VNF, as [`Vnf::state`] says. By default, it
+    /// starts without.
+    ///
+    /// # Errors
+    /// As of [`Engine::start`].
+    fn migrate(
+        &mut self,
+        instance: InstanceId,
+        _from: InstanceId,
+        vnf: &Vnf,
+        replica: u32,
+        node: &NodeId,
+    ) -> Result<(), String> {
+        self.start(instance, vnf, replica, node)
+    }
+
     /// Begins to stop an instance. Ignores unknown ones.
     fn stop(&mut self, instance: InstanceId);
 

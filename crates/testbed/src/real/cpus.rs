@@ -20,24 +20,33 @@ pub fn missing_cpus(testbed: &Testbed, have: usize) -> Option<String> {
     })
 }
 
-/// Returns warnings of demands that are not computed as the testbed file describes. `have` is the number of CPUs that this
-/// process may use.
-pub(super) fn unmet_demands(testbed: &Testbed, have: usize) -> Vec<String> {
-    [demands_of_images(testbed), demands_above(testbed, have)].into_iter().flatten().collect()
+/// Returns warnings of demands that are not computed as the testbed file describes, and of states that are not copied. `have` is
+/// the number of CPUs that this process may use.
+pub(super) fn unmet(testbed: &Testbed, have: usize) -> Vec<String> {
+    let unmet = [demands_of_images(testbed), demands_above(testbed, have), unused_states(testbed)];
+    unmet.into_iter().flatten().collect()
 }
 
 /// Programs of others know of no demand.
 fn demands_of_images(testbed: &Testbed) -> Option<String> {
-    let images = testbed.vnfs().filter(|vnf| vnf.computing.is_some() && vnf.image.is_some());
-    let names: Vec<_> = images.map(|vnf| format!("`{}`", vnf.id)).collect();
+    let have =
+        those_with(testbed, "an image and a demand", |vnf| vnf.computing.is_some() && vnf.image.is_some())?;
+    Some(format!("{have}, which only programs of cotorra compute: others take the time that they take"))
+}
+
+/// No engine copies a state.
+fn unused_states(testbed: &Testbed) -> Option<String> {
+    let have = those_with(testbed, "a state", |vnf| vnf.state.is_some())?;
+    Some(format!(
+        "{have}, which holds in virtual time only: with real packets, a move starts another instance, and copies nothing"
+    ))
+}
+
+/// Says which VNFs have this.
+fn those_with(testbed: &Testbed, what: &str, has: impl Fn(&Vnf) -> bool) -> Option<String> {
+    let names: Vec<_> = testbed.vnfs().filter(|vnf| has(vnf)).map(|vnf| format!("`{}`", vnf.id)).collect();
     let (s, have) = if names.len() == 1 { ("", "has") } else { ("s", "have") };
-    (!names.is_empty()).then(|| {
-        format!(
-            "VNF{s} {} {have} an image and a demand, which only programs of cotorra compute: others take the time that they \
-             take",
-            names.join(", ")
-        )
-    })
+    (!names.is_empty()).then(|| format!("VNF{s} {} {have} {what}", names.join(", ")))
 }
 
 /// Emulated servers have the CPUs of this machine.
@@ -61,7 +70,7 @@ fn demands_above(testbed: &Testbed, have: usize) -> Option<String> {
 mod tests {
     use std::{path::Path, time::Duration};
 
-    use cotorra_graph::{Computing, Demand, Scheduling};
+    use cotorra_graph::{Computing, Demand, Scheduling, StateTransfer, TransferMethod};
 
     use super::*;
 
@@ -129,5 +138,15 @@ services:
         let one_node = with_demands(&[vnf("n", "a", 6.0), vnf("m", "a", 6.0)].join(", "));
         assert_eq!(demands_above(&one_node, 8), None, "the node has 8");
         assert!(demands_above(&one_node, 7).is_some());
+    }
+
+    #[test]
+    fn states_get_a_warning_because_they_are_copied_in_virtual_time_only() {
+        let mut testbed = testbed("n: { command: [sleep], node: a }, m: { command: [sleep], node: a }");
+        assert_eq!(unused_states(&testbed), None);
+        for vnf in &mut testbed.services[0].vnfs {
+            vnf.state = Some(Box::new(StateTransfer { bytes: 1, method: TransferMethod::StopAndCopy }));
+        }
+        assert!(unused_states(&testbed).unwrap().starts_with("VNFs `n`, `m` have a state, which"));
     }
 }

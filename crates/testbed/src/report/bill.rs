@@ -15,7 +15,7 @@ use cotorra_graph::{
 use serde::Serialize;
 
 use super::{amount::amount, energy::EnergySummary};
-use crate::virtual_time::Computed;
+use crate::computed::Computed;
 
 const SECONDS_PER_HOUR: f64 = 3600.0;
 const BYTES_PER_GB: f64 = 1e9;

@@ -11,7 +11,7 @@ use cotorra_graph::{
 use super::energy::{
     Battery, DomainEnergy, EnergySummary, RadioEnergy, RobotEnergy, ServerEnergy, ServiceEnergy,
 };
-use crate::virtual_time::ComputedSoFar;
+use crate::computed::ComputedSoFar;
 
 /// Speed from which a robot drives: odometry of one that stands is not always zero.
 const DRIVES_MPS: f64 = 0.005;

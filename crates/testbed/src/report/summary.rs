@@ -31,6 +31,7 @@ use super::{
     kept::{Kept, Verdict},
     measured_frames::MeasuredFrames,
     metering::{Known, Metering},
+    migrations::MigrationSummary,
     samples::Samples,
     staleness_regret::StalenessRegret,
     time_parts::{ServiceParts, TimePartsReport},
@@ -38,7 +39,10 @@ use super::{
     vnf_waits::VnfWaits,
     void::Void,
 };
-use crate::{computed::ComputedSoFar, virtual_time::InferredSoFar};
+use crate::{
+    computed::ComputedSoFar,
+    virtual_time::{InferredSoFar, Migrated},
+};
 
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
@@ -112,6 +116,9 @@ pub struct Summary {
     /// What models on accelerators inferred, and how robots followed their actions, in virtual time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inference: Option<InferenceSummary>,
+    /// Moves of VNFs with their state, in virtual time, in the order of their begins.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub migrations: Vec<MigrationSummary>,
     /// Instructions of each plug-in, those of the file first.
     pub plugins: Vec<PluginSummary>,
     /// What old context cost, by plug-in with a distance, beside the twins of the run; empty without twins.
@@ -364,6 +371,7 @@ pub struct Report {
     airtimes: BTreeMap<NodeId, Airtime>,
     computed: ComputedSoFar,
     inferred: InferredSoFar,
+    migrations: Vec<MigrationSummary>,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
@@ -433,6 +441,7 @@ impl Report {
             airtimes: BTreeMap::new(),
             computed: ComputedSoFar::default(),
             inferred: InferredSoFar::default(),
+            migrations: Vec::new(),
             pose_source: None,
             robots: testbed
                 .services
@@ -564,6 +573,11 @@ impl Report {
     /// Adds the airtime of robots with emulated radios. It is in no event.
     pub(crate) fn sent(&mut self, airtimes: BTreeMap<NodeId, Airtime>) {
         self.airtimes = airtimes;
+    }
+
+    /// Adds the moves of VNFs with their state. They are in no event.
+    pub(crate) fn migrated(&mut self, migrated: Vec<Migrated>) {
+        self.migrations = migrated.into_iter().map(MigrationSummary::from).collect();
     }
 
     /// Adds where the robots stand, if none of them makes progress any more.
@@ -749,6 +763,7 @@ impl Report {
             energy,
             computing: ComputingSummary::of(&self.computed, end.since(Timestamp::ZERO)),
             inference: InferenceSummary::of(&self.inferred, end.since(Timestamp::ZERO)),
+            migrations: self.migrations.clone(),
             plugins: self.instructed.summary(),
             staleness_regret: Vec::new(),
             plugin_faults: self.faults.clone(),

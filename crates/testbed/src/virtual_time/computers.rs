@@ -45,6 +45,8 @@ struct Instance {
     node: NodeId,
     vnf: VnfId,
     demands: Demands,
+    /// Most CPUs that it uses.
+    limit: f64,
     since: Timestamp,
 }
 
@@ -55,6 +57,8 @@ pub(super) struct Computers {
     computing: BTreeMap<VnfId, Box<Computing>>,
     seed: u64,
     instances: BTreeMap<InstanceId, Instance>,
+    /// Instances that are off their CPUs.
+    paused: BTreeMap<InstanceId, Instance>,
     /// Number of starts of each replica of a VNF.
     starts: BTreeMap<(VnfId, u32), u32>,
     computed: BTreeMap<(VnfId, NodeId), Computed>,
@@ -93,7 +97,8 @@ impl Computers {
             Demands::new(computing, self.seed, &label).ok_or("its demand has no such distribution")?;
         let limit = vnf.most_cpus();
         computer.server.start(now, id.0, Limits::new(computing, limit));
-        self.instances.insert(id, Instance { node: node.clone(), vnf: vnf.id.clone(), demands, since: now });
+        let instance = Instance { node: node.clone(), vnf: vnf.id.clone(), demands, limit, since: now };
+        self.instances.insert(id, instance);
         self.computed
             .entry((vnf.id.clone(), node.clone()))
             .or_insert_with(|| Computed::nothing(vnf.id.clone(), node.clone(), limit));
@@ -102,15 +107,34 @@ impl Computers {
 
     /// Stops an instance. Its requests are lost.
     pub(super) fn stop(&mut self, now: Timestamp, id: InstanceId) {
-        let Some(Instance { node, vnf, since, .. }) = self.instances.remove(&id) else { return };
-        let Some(computer) = self.by_node.get_mut(&node) else { return };
+        self.pause(now, id);
+        self.paused.remove(&id);
+    }
+
+    /// Takes an instance off its CPUs. Its requests are lost.
+    pub(super) fn pause(&mut self, now: Timestamp, id: InstanceId) {
+        let Some(instance) = self.instances.remove(&id) else { return };
+        let Instance { node, vnf, since, .. } = &instance;
+        let Some(computer) = self.by_node.get_mut(node) else { return };
         let Some((load, lost)) = computer.server.stop(now, id.0) else { return };
         computer.stopped += load.cpu_time();
-        if let Some(computed) = self.computed.get_mut(&(vnf, node)) {
-            computed.ran += now.since(since);
+        if let Some(computed) = self.computed.get_mut(&(vnf.clone(), node.clone())) {
+            computed.ran += now.since(*since);
             computed.load.add(&load);
             computed.lost += lost.len() as u64;
         }
+        self.paused.insert(id, instance);
+    }
+
+    /// Lets a paused instance go on.
+    pub(super) fn resume(&mut self, now: Timestamp, id: InstanceId) {
+        let Some(instance) = self.paused.remove(&id) else { return };
+        let Instance { node, vnf, .. } = &instance;
+        let (Some(computing), Some(computer)) = (self.computing.get(vnf), self.by_node.get_mut(node)) else {
+            return;
+        };
+        computer.server.start(now, id.0, Limits::new(computing, instance.limit));
+        self.instances.insert(id, Instance { since: now, ..instance });
     }
 
     /// Takes a request of so many bytes, whose answer leaves once it is computed.

@@ -1,6 +1,6 @@
 //! VNFs in virtual time. Bundled ones are parts of the simulation. Others do not run: datagrams to them are lost, and
 //! nothing answers. An instance is ready some time after its start. A bundled one answers at once, after the delay of its
-//! image, or once its node's CPUs computed the answer.
+//! image, or once its node's CPUs computed the answer. One that takes over a state is ready once that has come, too.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -10,7 +10,7 @@ use std::{
 
 use cotorra_brain::NavigationVnf;
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{NodeId, Program, Stamped, Testbed, Timestamp, Vnf, VnfId};
+use cotorra_graph::{NodeId, Program, Stamped, StateTransfer, Testbed, Timestamp, Vnf, VnfId};
 use cotorra_plugin::wire;
 use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
@@ -19,6 +19,7 @@ use super::{
     accelerators::{AllAccelerators, InferredSoFar},
     computers::{Answer, Computers},
     interference::Held,
+    migrations::{Change, Migrated, Migrations, Placed},
 };
 use crate::{computed::ComputedSoFar, followed::PolicyFollowed, parcel::Parcels};
 
@@ -78,6 +79,8 @@ struct Instance {
     /// Time from which it can serve.
     serves_at: Timestamp,
     is_ready: bool,
+    /// Whether its state is leaving, so that it does not answer.
+    is_paused: bool,
 }
 
 #[derive(Default)]
@@ -93,6 +96,7 @@ struct Instances {
     starts_held: bool,
     computers: Computers,
     accelerators: AllAccelerators,
+    migrations: Migrations,
 }
 
 impl Instances {
@@ -109,6 +113,9 @@ impl Instances {
         for id in &removed {
             self.computers.stop(self.now, *id);
             self.accelerators.stop(self.now, *id);
+            if let Some(former) = self.migrations.ended(self.now, *id) {
+                self.set_paused(former, false);
+            }
         }
         removed
     }
@@ -123,13 +130,58 @@ impl Instances {
             return;
         }
         let now = self.now;
+        let is_due = |instance: &Instance| !instance.is_ready && instance.serves_at <= now;
+        for started in self.by_node.values().flatten().filter(|instance| is_due(instance)) {
+            self.migrations.started(now, started.id);
+        }
+        self.follow_migrations();
         let mut ready = Vec::new();
-        for due in self.all().filter(|instance| !instance.is_ready && instance.serves_at <= now) {
+        let due = self.by_node.values_mut().flatten().filter(|instance| is_due(instance));
+        for due in due.filter(|instance| !self.migrations.holds(instance.id)) {
             due.is_ready = true;
             ready.push((due.serves_at, due.id));
         }
         ready.sort_unstable();
         ready.into_iter().for_each(|(_, instance)| self.tell(instance, Outcome::Ready));
+    }
+
+    fn find(&mut self, id: InstanceId) -> Option<&mut Instance> {
+        self.all().find(|instance| instance.id == id)
+    }
+
+    /// Begins to copy a state from a former instance, if that runs, to a new one.
+    fn migrate(&mut self, vnf: &Vnf, state: StateTransfer, former: InstanceId, new: Placed<'_>) {
+        let is_there = |(_, here): &(&NodeId, &Vec<Instance>)| here.iter().any(|its| its.id == former);
+        if let Some((node, _)) = self.by_node.iter().find(is_there) {
+            self.migrations.begin(self.now, &vnf.id, state, Placed { id: former, node }, new);
+            self.follow_migrations();
+        }
+    }
+
+    /// Sets whether an instance is paused. One that is loses its requests.
+    fn set_paused(&mut self, id: InstanceId, paused: bool) {
+        let Some(instance) = self.find(id) else { return };
+        instance.is_paused = paused;
+        if paused {
+            self.computers.pause(self.now, id);
+        } else {
+            self.computers.resume(self.now, id);
+        }
+    }
+
+    /// Does what migrations bring.
+    fn follow_migrations(&mut self) {
+        while let Some(change) = self.migrations.poll(self.now) {
+            match change {
+                Change::Stop(former) => self.set_paused(former, true),
+                Change::HandOver(former, new) => {
+                    let state = self.find(former).and_then(|former| former.bundled.clone());
+                    if let (Some(new), Some(state)) = (self.find(new), state) {
+                        new.bundled = Some(state);
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -144,7 +196,8 @@ impl Serving {
         let mut all = self.0.lock();
         let all = &mut *all;
         let slow = all.slow.get(node).copied().unwrap_or_default();
-        let mut here = all.by_node.get_mut(node).into_iter().flatten().filter(|instance| instance.is_ready);
+        let here = all.by_node.get_mut(node).into_iter().flatten();
+        let mut here = here.filter(|instance| instance.is_ready && !instance.is_paused);
         let (takes, id, later) = here.find_map(|instance| {
             let (_, program) = instance.bundled.as_mut().filter(|(its, _)| *its == held.from.1)?;
             let later = match instance.mood {
@@ -188,6 +241,27 @@ impl Serving {
     pub(super) fn inferred(&self, policies: Vec<PolicyFollowed>) -> InferredSoFar {
         self.0.lock().accelerators.inferred(policies)
     }
+
+    /// Replaces `frame` by the next frame of a state that moves, and returns the place of the host that sends it.
+    pub(super) fn poll_frame(&self, now: Timestamp, frame: &mut Vec<u8>) -> Option<usize> {
+        self.0.lock().migrations.poll_frame(now, frame)
+    }
+
+    /// Takes a frame that arrives at a host. Returns whether it is one of a state that moves.
+    pub(super) fn handle(&self, now: Timestamp, host: usize, frame: &[u8]) -> bool {
+        let mut all = self.0.lock();
+        let is_its = all.migrations.handle(now, host, frame);
+        if is_its {
+            all.follow_migrations();
+        }
+        is_its
+    }
+
+    /// Returns all migrations until now.
+    pub(super) fn migrated(&self) -> Vec<Migrated> {
+        let all = self.0.lock();
+        all.migrations.migrated(all.now)
+    }
 }
 
 impl Serving {
@@ -198,16 +272,17 @@ impl Serving {
         all.make_ready();
     }
 
-    /// Returns when the next instance can serve, or the next answer is computed.
+    /// Returns when the next instance can serve, the next answer is computed, or a state that moves has a frame to send.
     pub(super) fn next_deadline(&self) -> Option<Timestamp> {
-        let mut all = self.0.lock();
+        let all = self.0.lock();
         let computed = [all.computers.next_deadline(), all.accelerators.next_deadline()];
-        let computed = computed.into_iter().flatten().min();
+        let others = computed.into_iter().flatten().chain(all.migrations.next_deadline(all.now));
         if all.starts_held {
-            return computed;
+            return others.min();
         }
-        let starts = all.all().filter(|instance| !instance.is_ready).map(|instance| instance.serves_at);
-        starts.chain(computed).min()
+        let instances = all.by_node.values().flatten();
+        let starting = instances.filter(|instance| !instance.is_ready && !all.migrations.awaits(instance.id));
+        starting.map(|instance| instance.serves_at).chain(others).min()
     }
 
     /// Lets the instances on these nodes answer later.
@@ -263,11 +338,10 @@ pub(crate) struct VirtualEngine {
 impl VirtualEngine {
     /// Plans all walks, and prepares the map.
     pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
-        {
-            let mut all = serving.0.lock();
-            all.computers = Computers::new(testbed, seed);
-            all.accelerators = AllAccelerators::new(testbed);
-        }
+        let mut all = serving.0.lock();
+        (all.computers, all.migrations) = (Computers::new(testbed, seed), Migrations::new(testbed));
+        all.accelerators = AllAccelerators::new(testbed);
+        drop(all);
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed)?;
         let planned = testbed.services.iter().flat_map(|service| {
@@ -292,8 +366,16 @@ impl VirtualEngine {
     }
 }
 
-impl Engine for VirtualEngine {
-    fn start(&mut self, id: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
+impl VirtualEngine {
+    /// Starts an instance, which takes over the state of a former one if it has one.
+    fn launch(
+        &mut self,
+        id: InstanceId,
+        former: Option<InstanceId>,
+        vnf: &Vnf,
+        replica: u32,
+        node: &NodeId,
+    ) -> Result<(), String> {
         let bundled = match vnf.program {
             Program::Command(_) | Program::Host(_) => None,
             _ => Some(self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone()),
@@ -318,9 +400,30 @@ impl Engine for VirtualEngine {
             mood: Mood::default(),
             serves_at,
             is_ready: false,
+            is_paused: false,
         });
+        if let Some((former, state)) = former.zip(vnf.state.as_deref()) {
+            all.migrate(vnf, *state, former, Placed { id, node });
+        }
         all.make_ready();
         Ok(())
+    }
+}
+
+impl Engine for VirtualEngine {
+    fn start(&mut self, id: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
+        self.launch(id, None, vnf, replica, node)
+    }
+
+    fn migrate(
+        &mut self,
+        id: InstanceId,
+        from: InstanceId,
+        vnf: &Vnf,
+        replica: u32,
+        node: &NodeId,
+    ) -> Result<(), String> {
+        self.launch(id, Some(from), vnf, replica, node)
     }
 
     fn stop(&mut self, id: InstanceId) {

@@ -6,6 +6,7 @@ mod altered;
 mod computers;
 mod engine;
 mod interference;
+mod migrations;
 mod network;
 mod requests;
 mod run;
@@ -33,8 +34,8 @@ use cotorra_traffic::{Measured, Sources};
 
 pub(crate) use self::{
     accelerators::{AcceleratorsUse, InferredSoFar, ModelUse},
-    computers::{Computed, ComputedSoFar, UsedComputer},
     engine::VirtualEngine,
+    migrations::{Migrated, MigrationOutcome},
     network::VirtualNetwork,
 };
 pub use self::{
@@ -50,7 +51,6 @@ use self::{
     interference::{Held, Interference},
     requests::Requests,
 };
-pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
     computed::ComputedSoFar,
     core::{Core, Observation, script::Script},
@@ -467,6 +467,11 @@ impl Simulation {
         self.serving.inferred(self.core.followed(self.now()))
     }
 
+    /// Returns the moves of VNFs with their state so far.
+    pub(crate) fn migrated(&self) -> Vec<Migrated> {
+        self.serving.migrated()
+    }
+
     /// Returns the localization errors so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
@@ -535,6 +540,7 @@ impl Simulation {
                 self.send_answer(now, answer);
             }
             self.send_traffic(now);
+            self.send_states(now);
             let mut delivered = Vec::new();
             self.network.fabric().poll(now, &mut |port, frame| delivered.push((port, frame)));
             while let Some(event) = self.network.next_event() {
@@ -566,8 +572,14 @@ impl Simulation {
         });
     }
 
+    /// Sends what states that move have for now.
+    fn send_states(&mut self, now: Timestamp) {
+        let states = |_: &mut Fabric, buffer: &mut Vec<u8>| self.serving.poll_frame(now, buffer).map(PortId);
+        self.network.fabric().push_all(now, states);
+    }
+
     fn deliver(&mut self, now: Timestamp, port: PortId, frame: &[u8]) {
-        if self.traffic.handle(now, port.0, frame) {
+        if self.traffic.handle(now, port.0, frame) || self.serving.handle(now, port.0, frame) {
             return;
         }
         if let Some(datagram) = udp::receive(frame, port) {

@@ -272,6 +272,7 @@ pub(super) fn simulate_with(
     report.computed(simulation.computed());
     report.sent(simulation.airtimes());
     report.inferred(simulation.inferred());
+    report.migrated(simulation.migrated());
     let recording = recording.map(Recording::finish);
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
     unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));

@@ -100,6 +100,7 @@ fn in_memory(
         report.computed(simulation.computed());
         report.sent(simulation.airtimes());
         report.inferred(simulation.inferred());
+        report.migrated(simulation.migrated());
         let summary = report.summary(now, end.as_str(), Losses::default());
         return Ok(Some(UnrecordedRun { summary, forked: simulation.forked().cloned() }));
     }

@@ -373,12 +373,12 @@ impl<E: Engine> Vim<E> {
             let group = &mut self.groups[index];
             let there = group.draining.iter().position(|(_, instance)| instance.node == node);
             match there.map(|there| group.draining.swap_remove(there).1) {
-                // An instance there is still draining: it serves again.
-                Some(instance) if group.is_free(instance.replica, place) => {
+                // An instance there is still draining: it serves again, unless its state has moved on.
+                Some(instance) if group.vnf.state.is_none() && group.is_free(instance.replica, place) => {
                     group.slots[place].replica = instance.replica;
                     group.switch(now, place, instance);
                 }
-                // Another replica has its number now.
+                // Another instance has its state, or another replica its number now.
                 Some(instance) => {
                     events.push(life(vnf, &node, VnfState::Stopped, None));
                     self.engine.stop(instance.id);
@@ -553,7 +553,14 @@ impl<E: Engine> Vim<E> {
         if vnf.program == Program::RobotDriver {
             // The robot's own driver runs in the Robot Middleware, so there is nothing to start.
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Ready }, events);
-        } else if let Err(error) = self.engine.start(id, vnf, replica, &node) {
+            return;
+        }
+        let from = slot.current.as_ref().filter(|_| vnf.state.is_some());
+        let started = match from {
+            Some(Instance { id: from, .. }) => self.engine.migrate(id, *from, vnf, replica, &node),
+            None => self.engine.start(id, vnf, replica, &node),
+        };
+        if let Err(error) = started {
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Failed(error) }, events);
         }
     }

@@ -1,5 +1,5 @@
 use cotorra_engine::InMemoryEngine;
-use cotorra_graph::{Capacity, Node, NodeKind, Server};
+use cotorra_graph::{Capacity, Node, NodeKind, Server, StateTransfer, TransferMethod};
 use cotorra_graph_testing as base;
 
 use super::*;
@@ -92,6 +92,17 @@ fn a_draining_instance_serves_again_at_once() {
     assert_eq!((names(&vim)[1].1.as_str(), instances(&vim), vim.all_ready()), ("a", 2, true));
     assert_eq!(order(&vim.poll(back + LAST_PACKETS)), ["Stopped b"]);
     assert_eq!(instances(&vim), 1);
+}
+
+#[test]
+fn a_draining_instance_whose_state_has_moved_on_starts_anew() {
+    let state = StateTransfer { bytes: 1, method: TransferMethod::StopAndCopy };
+    let moving = Vnf { state: Some(Box::new(state)), ..vnf("moving", "a", false) };
+    let mut vim = vim_of(vec![server("a", 4.0), server("b", 4.0)], vec![moving]);
+    vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
+    vim.poll(Timestamp::ZERO);
+    assert_eq!(order(&vim.place(Timestamp::ZERO, &id("moving"), &on("a")).unwrap()), ["Stopped a"]);
+    assert_eq!(order(&vim.poll(Timestamp::ZERO)), ["Started a", "placed a"]);
 }
 
 #[test]

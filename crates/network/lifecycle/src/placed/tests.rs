@@ -54,6 +54,7 @@ fn service(names: &[&str], owner: Option<DomainId>) -> Applications {
         robot: node("tb"),
         vnfs: vec![vnf.clone()],
         virtual_links: Vec::new(),
+        policy: None,
         kpis,
         requests: Requests::default(),
     };

@@ -45,7 +45,7 @@ use crate::{
     options::Options,
     real::{
         core_loop::{CoreLoop, receive},
-        cpus::unmet_demands,
+        cpus::unmet,
         leftovers::clean,
         robots::Masters,
     },
@@ -141,7 +141,7 @@ impl Run {
         }
         core.start(now());
         let have = thread::available_parallelism().map_or(1, NonZero::get);
-        for message in unmet_demands(&testbed, have) {
+        for message in unmet(&testbed, have) {
             tracing::warn!("{message}");
             core.observe(Stamped { at: now(), event: Event::Notice { message } });
         }

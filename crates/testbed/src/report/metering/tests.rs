@@ -5,7 +5,7 @@ use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
 use super::*;
-use crate::virtual_time::UsedComputer;
+use crate::computed::UsedComputer;
 
 const LAB: &str = "name: lab
 domains: [factory, operator, nobody]

@@ -158,8 +158,8 @@ fn scans_without_an_answer_in_time_are_unanswered() {
 }
 
 /// Returns localization's nodes and errors over the first minute, in which it moves to each of these nodes in turn.
-fn localized_on(nodes: &[&str]) -> (Vec<String>, Errors) {
-    let mut simulation = Simulation::new(corridor(), 1).unwrap();
+fn localized_on(testbed: Arc<Testbed>, nodes: &[&str]) -> (Vec<String>, Errors) {
+    let mut simulation = Simulation::new(testbed, 1).unwrap();
     let mut moves = nodes.iter().enumerate();
     let mut next = 10.0;
     let mut served = Vec::new();
@@ -189,8 +189,8 @@ fn localized_on(nodes: &[&str]) -> (Vec<String>, Errors) {
 
 #[test]
 fn localization_moves_between_nodes_and_never_loses_the_robot() {
-    let (stayed, there) = localized_on(&[]);
-    let (served, errors) = localized_on(&["fog", "robot", "cloud", "edge"]);
+    let (stayed, there) = localized_on(corridor(), &[]);
+    let (served, errors) = localized_on(corridor(), &["fog", "robot", "cloud", "edge"]);
     assert_eq!(stayed, ["edge"]);
     assert_eq!(served, ["edge", "fog", "robot", "cloud", "edge"]);
     for errors in [there, errors] {
@@ -198,6 +198,23 @@ fn localization_moves_between_nodes_and_never_loses_the_robot() {
         assert!(errors.position_rmse() < 0.1 && errors.farthest() < 0.3, "{errors}");
         assert!((0.3..6.0).contains(&errors.mean_nees()), "{errors}");
     }
+}
+
+#[test]
+fn a_localization_that_takes_its_state_along_goes_on_as_if_it_had_not_moved() {
+    let errors = |state: &str, nodes: &[&str]| {
+        // The fog is as far as the edge.
+        let testbed = changed(|text| {
+            text.replace("fog], delay: 1.5 ms, rate: 6 Mbit/s", "fog], delay: 2 ms, rate: 8 Mbit/s")
+                .replace("localization, node: edge,", &format!("localization, node: edge, {state}"))
+        });
+        let (served, errors) = localized_on(testbed, nodes);
+        assert_eq!(served.len(), 1 + nodes.len());
+        errors.position_rmse()
+    };
+    let stayed = errors("", &[]);
+    assert_eq!(errors("state: { size: 1 kB },", &["fog", "edge"]), stayed);
+    assert_ne!(errors("", &["fog", "edge"]), stayed, "another instance knows less");
 }
 
 #[test]

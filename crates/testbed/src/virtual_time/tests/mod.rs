@@ -12,6 +12,7 @@ mod federation;
 mod inference;
 mod large_data;
 mod localization;
+mod migrations;
 mod replica;
 mod reservations;
 mod sensor;
