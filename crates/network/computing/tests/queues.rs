@@ -45,15 +45,25 @@ fn limits(cpus: f64, scheduling: Scheduling) -> Limits {
 
 /// Returns the requests that finished, in the order of their arrivals.
 fn served(queue: &Queue, arrivals: impl Iterator<Item = Timestamp>, seed: u64) -> Vec<Finished<usize>> {
-    let mut server = Server::new(queue.cpus, 1.0);
-    server.start(Timestamp::ZERO, 1, limits(queue.cpus, queue.scheduling));
     let mut draws = Draws::new(seed, "demands");
+    let arrivals = arrivals.map(|at| (at, queue.demand.sample(&mut draws)));
+    finished(queue.cpus, queue.scheduling, arrivals)
+}
+
+/// Returns the requests of these demands, milliseconds, in the order of their arrivals.
+fn finished(
+    cpus: f64,
+    scheduling: Scheduling,
+    arrivals: impl Iterator<Item = (Timestamp, f64)>,
+) -> Vec<Finished<usize>> {
+    let mut server = Server::new(cpus, 1.0);
+    server.start(Timestamp::ZERO, 1, limits(cpus, scheduling));
     let mut finished = Vec::new();
-    for (number, at) in arrivals.enumerate() {
+    for (number, (at, demand_ms)) in arrivals.enumerate() {
         while let Some(next) = server.poll(at) {
             finished.push(next);
         }
-        server.arrive(at, 1, nanos(queue.demand.sample(&mut draws)), number).unwrap();
+        server.arrive(at, 1, nanos(demand_ms), number).unwrap();
     }
     while let Some(deadline) = server.deadline() {
         finished.extend(server.poll(deadline));
@@ -229,6 +239,80 @@ fn shared_service_takes_in_proportion_to_demands_of_any_distribution() {
     let small = holds("… of demands below 0.5 ms", 1.0 / 0.3, |seed| mean_of(seed, &|ms| ms < 0.5));
     let large = holds("… of demands above 2 ms", 1.0 / 0.3, |seed| mean_of(seed, &|ms| ms > 2.0));
     assert!(all && small && large);
+}
+
+/// Shares of two classes of requests, and the rates at which a CPU of its own serves them, 1/ms. Their mean is 1 ms, and the
+/// variance of all demands 2.5 ms².
+const CLASSES: [(f64, f64); 2] = [(0.75, 2.0), (0.25, 0.4)];
+
+/// Returns the probability that a request of a queue with shared service and demands of two exponential classes is still
+/// there after so many jumps of the uniformized Markov chain of the others of both classes, and the rate of jumps. Arrivals
+/// find a multinomial share of a geometric number of others, whatever the demands.
+fn shared_survivals(rate: f64) -> (Vec<f64>, f64) {
+    const MOST: usize = 60;
+    let loads = CLASSES.map(|(share, served)| rate * share / served);
+    let jumps = rate + CLASSES.map(|(_, served)| served).into_iter().fold(0.0, f64::max);
+    let mut survivals = vec![0.0; 1000];
+    for (own_share, own_served) in CLASSES {
+        let mut others = vec![[0.0; MOST]; MOST];
+        for (a, row) in others.iter_mut().enumerate() {
+            let mut found = (1.0 - rate) * loads[0].powi(a as i32);
+            for (b, here) in row.iter_mut().enumerate() {
+                *here = own_share * found;
+                found *= loads[1] * (a + b + 1) as f64 / (b + 1) as f64;
+            }
+        }
+        for survival in &mut survivals {
+            *survival += others.iter().flatten().sum::<f64>();
+            let mut next = vec![[0.0; MOST]; MOST];
+            for a in 0..MOST {
+                for b in 0..MOST {
+                    let (here, all) = (others[a][b] / jumps, (a + b + 1) as f64);
+                    let leave = [a, b].map(|n| n as f64 / all);
+                    let rates = [leave[0] * CLASSES[0].1, leave[1] * CLASSES[1].1];
+                    next[(a + 1).min(MOST - 1)][b] += here * rate * CLASSES[0].0;
+                    next[a][(b + 1).min(MOST - 1)] += here * rate * CLASSES[1].0;
+                    next[a.saturating_sub(1)][b] += here * rates[0];
+                    next[a][b.saturating_sub(1)] += here * rates[1];
+                    next[a][b] += here * (jumps - rate - rates[0] - rates[1] - own_served / all);
+                }
+            }
+            others = next;
+        }
+    }
+    (survivals, jumps)
+}
+
+#[test]
+fn shared_service_has_the_long_times_of_two_classes_of_demands() {
+    let (survivals, jumps) = shared_survivals(0.7);
+    let tail = |t: f64| {
+        let mean = jumps * t.min(200.0);
+        let mut weight = (-mean).exp();
+        let weighted = survivals.iter().zip(1..).map(|(survival, next)| {
+            let its = weight * survival;
+            weight *= mean / f64::from(next);
+            its
+        });
+        weighted.sum::<f64>()
+    };
+    let run = |seed: u64| {
+        let mut draws = Draws::new(seed, "demands");
+        let of = CLASSES.map(|(_, served)| Distribution::exponential(1.0 / served).unwrap());
+        let arrivals = poisson(0.7, seed).take(USUAL.left_out + USUAL.measured);
+        let arrivals = arrivals.map(|at| {
+            let class = usize::from(draws.unit() >= CLASSES[0].0);
+            (at, of[class].sample(&mut draws))
+        });
+        let finished = finished(1.0, Scheduling::Shared, arrivals.collect::<Vec<_>>().into_iter());
+        let time = |its: &Finished<usize>| its.at.since(its.arrived).as_secs_f64() * 1e3;
+        finished[USUAL.left_out..].iter().map(time).collect::<Vec<_>>()
+    };
+    let runs: Vec<_> = (1..=SEEDS).map(run).collect();
+    let means = holds("M/H2/1-PS at 0.7, mean", 1.0 / 0.3, |seed| mean(&runs[seed as usize - 1]));
+    let p95s =
+        holds("M/H2/1-PS at 0.7, p95", at_5_percent(tail), |seed| p95(runs[seed as usize - 1].clone()));
+    assert!(means && p95s);
 }
 
 #[test]
