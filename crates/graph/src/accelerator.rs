@@ -16,6 +16,13 @@ pub struct Accelerators {
     /// Speed, as a multiple of that on which times of inference were measured; above 0.
     #[serde(rename = "accelerator_speed")]
     pub speed: f64,
+    /// Price of one for an hour, in the testbed's currency. A model pays for the share of its memory that it takes.
+    #[serde(rename = "accelerator_cost", default, skip_serializing_if = "is_free")]
+    pub cost: f64,
+}
+
+fn is_free(cost: &f64) -> bool {
+    *cost == 0.0
 }
 
 impl Accelerators {
@@ -129,7 +136,7 @@ pub struct Policy {
 mod tests {
     use super::*;
 
-    const TWO: Accelerators = Accelerators { count: 2, memory_bytes: 24, speed: 1.0 };
+    const TWO: Accelerators = Accelerators { count: 2, memory_bytes: 24, speed: 1.0, cost: 0.0 };
 
     #[test]
     fn models_go_where_the_most_memory_is_free() {

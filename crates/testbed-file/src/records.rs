@@ -947,7 +947,7 @@ record! {
         accelerators: Option<Spanned<AcceleratorsRecord>>,
         /// Price of a CPU for an hour, in the file's `currency`.
         cost: Amount = 1,
-        /// Price of an hour of CPU time that VNFs use, in the file's `currency`, in virtual time: docs/use/bill.md.
+        /// Price of an hour of CPU time that VNFs use, in the file's `currency`: docs/use/bill.md.
         used_cost: Amount = 0,
         /// Price of a GB of memory for an hour, in the file's `currency`.
         memory_cost: Amount = 0,
@@ -1409,6 +1409,8 @@ record! {
         memory: Bytes,
         /// Speed, as a multiple of that on which times of inference were measured.
         speed: Spanned<Amount> = 1,
+        /// Price of one for an hour, in the file's `currency`, by the share of its memory that models take: docs/use/bill.md.
+        cost: Amount = 0,
     }
 }
 

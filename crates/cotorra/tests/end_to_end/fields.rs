@@ -308,13 +308,15 @@ fn every_figure_is_documented_with_its_unit() {
         serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
     in_document(&summary["traffic"], used.entry("summary.json").or_default());
 
-    let runs =
-        [("busy", "1s", &["computing", "bill", "energy"][..]), ("warehouse-vla", "30s", &["inference"])];
-    for (testbed, until, parts) in runs {
+    let runs = [
+        ("busy", "1s", &PRICED[..], &["computing", "bill", "energy"][..]),
+        ("warehouse-vla", "30s", &["currency=EUR", "nodes.edge.accelerators.cost=2"], &["inference", "bill"]),
+    ];
+    for (testbed, until, settings, parts) in runs {
         let to = out.path().join(testbed);
         let run = cotorra(["run", "--headless", "--simulate", "--until", until, "--out"])
             .arg(&to)
-            .args(PRICED.iter().flat_map(|setting| ["--set", setting]))
+            .args(settings.iter().flat_map(|setting| ["--set", setting]))
             .arg(project_file(&format!("testbeds/{testbed}.yaml")))
             .output()
             .unwrap();

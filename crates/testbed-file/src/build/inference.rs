@@ -84,10 +84,10 @@ impl Builder<'_> {
     ) -> Option<Capacity> {
         let accelerators = match accelerators {
             None => None,
-            Some(Spanned { value: AcceleratorsRecord { count, memory, speed }, .. }) => {
+            Some(Spanned { value: AcceleratorsRecord { count, memory, speed, cost }, .. }) => {
                 let (count, speed) =
                     (self.within(count, MOST_ACCELERATORS, "accelerators"), self.speed(speed));
-                Some(Accelerators { count: count?, memory_bytes: memory.0, speed: speed? })
+                Some(Accelerators { count: count?, memory_bytes: memory.0, speed: speed?, cost: cost.0 })
             }
         };
         Some(Capacity { cpus: cpus.0, memory_bytes: memory.0, accelerators })

@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Direction, DomainId, Event, Instruction, LinkId, NodeId, NodeKind, Nodes, ServiceId, Stamped, Testbed,
-    Timestamp, Vnf, VnfId,
+    Accelerators, Direction, DomainId, Event, Instruction, LinkId, NodeId, NodeKind, Nodes, Program,
+    ServiceId, Stamped, Testbed, Timestamp, Vnf, VnfId,
 };
 use serde::Serialize;
 
@@ -101,6 +101,12 @@ pub struct Taken {
     /// Its price.
     #[serde(skip_serializing_if = "is_zero")]
     pub used_cpu_price: f64,
+    /// Accelerators that models took, by the share of their memory, times hours.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub accelerator_hours: f64,
+    /// Their price.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub accelerator_price: f64,
     /// GB of memory that were reserved, times hours.
     pub memory_gb_hours: f64,
     /// Their price.
@@ -126,6 +132,8 @@ impl Add for Taken {
             cpu_price: self.cpu_price + other.cpu_price,
             used_cpu_hours: self.used_cpu_hours + other.used_cpu_hours,
             used_cpu_price: self.used_cpu_price + other.used_cpu_price,
+            accelerator_hours: self.accelerator_hours + other.accelerator_hours,
+            accelerator_price: self.accelerator_price + other.accelerator_price,
             memory_gb_hours: self.memory_gb_hours + other.memory_gb_hours,
             memory_price: self.memory_price + other.memory_price,
             migrations: self.migrations + other.migrations,
@@ -156,6 +164,7 @@ impl Bill {
         let items = [
             ("CPUs", taken.cpu_price),
             ("CPU time", taken.used_cpu_price),
+            ("accelerators", taken.accelerator_price),
             ("memory", taken.memory_price),
             ("migrations", taken.migration_price),
             ("links", links),
@@ -174,6 +183,7 @@ struct Prices {
     domain: DomainId,
     cpu: f64,
     used_cpu: f64,
+    accelerators: Option<Accelerators>,
     memory: f64,
     migration: f64,
 }
@@ -184,6 +194,8 @@ struct Demand {
     service: Option<ServiceId>,
     cpus: f64,
     memory_gb: f64,
+    /// Bytes of memory of an accelerator.
+    accelerator_bytes: u64,
 }
 
 /// A link that has a price.
@@ -215,7 +227,11 @@ pub(super) struct Billing {
 impl Demand {
     fn of(service: Option<&ServiceId>, vnf: &Vnf) -> Self {
         let memory_gb = vnf.memory_bytes as f64 / BYTES_PER_GB;
-        Self { service: service.cloned(), cpus: vnf.cpus, memory_gb }
+        let accelerator_bytes = match &vnf.program {
+            Program::PolicyServer(model) => model.accelerator_bytes,
+            _ => 0,
+        };
+        Self { service: service.cloned(), cpus: vnf.cpus, memory_gb, accelerator_bytes }
     }
 }
 
@@ -229,6 +245,7 @@ impl Billing {
                 domain: node.domain.clone(),
                 cpu: server.cost,
                 used_cpu: server.used_cost,
+                accelerators: server.capacity.accelerators,
                 memory: server.memory_cost,
                 migration: server.migration_cost,
             };
@@ -316,9 +333,20 @@ impl Billing {
             let prices = self.servers.get(node)?;
             let (cpu_hours, memory_gb_hours) = (demand.cpus * hours, demand.memory_gb * hours);
             let (cpu_price, memory_price) = (cpu_hours * prices.cpu, memory_gb_hours * prices.memory);
-            let price = cpu_price + memory_price;
-            let taken =
-                Taken { cpu_hours, cpu_price, memory_gb_hours, memory_price, price, ..Taken::default() };
+            let (accelerator_hours, accelerator_price) = prices.accelerators.map_or((0.0, 0.0), |its| {
+                let taken = demand.accelerator_bytes as f64 / its.memory_bytes as f64 * hours;
+                (taken, taken * its.cost)
+            });
+            let taken = Taken {
+                cpu_hours,
+                cpu_price,
+                accelerator_hours,
+                accelerator_price,
+                memory_gb_hours,
+                memory_price,
+                price: cpu_price + accelerator_price + memory_price,
+                ..Taken::default()
+            };
             Some(((demand.service.clone(), node.clone()), taken))
         };
         nodes.all().iter().filter_map(on).collect()
@@ -453,6 +481,29 @@ walks: { r: { waypoints: [[0, 0], [5, 0]] } }
         let domains: Vec<_> = bill.domains.iter().map(|its| (its.domain.as_str(), its.price)).collect();
         assert_eq!(domains, [("factory", 13.25), ("operator", 10.0)]);
         assert_eq!(bill.sentence(), "23.25 EUR: CPUs 22.00, memory 1.00, migrations 0.25");
+    }
+
+    #[test]
+    fn a_model_pays_for_the_share_of_an_accelerators_memory_that_it_takes() {
+        let text = LAB
+            .replace(
+                "memory: 8 GB, cost: 1 }",
+                "memory: 8 GB, accelerators: { count: 2, memory: 40 GB, cost: 2 } }",
+            )
+            .replace(
+                "nav: { program: navigation, node: cloud",
+                "nav: { program: policy_server, inference: { model: pi0 }, node: cloud",
+            )
+            .replace("      driver: { program: robot_driver, pinned_to: r }\n", "")
+            .replace("    robot: r\n", "    robot: r\n    policy: { server: nav }\n");
+        let testbed = cotorra_testbed_file::parse("lab.yaml", &text, Path::new("")).unwrap();
+        let mut billing = Billing::new(&testbed).unwrap();
+        place(&mut billing, 0.0, "cloud");
+        let bill = billing.bill(hours(3.0), &[], None);
+        // 8 of 40 GB for three hours, and two CPUs.
+        let taken = bill.services[0].taken;
+        assert_eq!((taken.accelerator_hours, taken.accelerator_price), (0.2 * 3.0, 0.2 * 3.0 * 2.0));
+        assert_eq!(bill.sentence(), "7.20 EUR: CPUs 6.00, accelerators 1.20");
     }
 
     #[test]
