@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use png::{ColorType, DecodeOptions, Decoder, DecodingError, Info, Transformations};
+use png::{ColorType, DecodeOptions, Decoder, DecodingError, Info};
 
 /// First bytes of every PNG picture.
 pub const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
@@ -38,6 +38,10 @@ pub struct Pixel {
 }
 
 impl Pixel {
+    fn of_grey(grey: u8, alpha: Option<u8>) -> Self {
+        Self { colour: [grey; 3], alpha }
+    }
+
     /// Returns its luma (ITU-R BT.601) on white, as people see it.
     pub fn on_white(self) -> u8 {
         let [red, green, blue] = self.colour.map(u32::from);
@@ -66,27 +70,49 @@ pub fn to_pgm(bytes: &[u8], grey: impl Fn(Pixel) -> u8) -> Result<Vec<u8>, PngEr
     options.set_ignore_text_chunk(true);
     options.set_ignore_iccp_chunk(true);
     let mut decoder = Decoder::new_with_options(Cursor::new(bytes), options);
-    decoder.set_transformations(Transformations::normalize_to_color8());
     check(decoder.read_header_info()?)?;
     let mut reader = decoder.read_info()?;
-    // The library trusts the palette.
-    if reader.info().palette.as_ref().is_some_and(|its| its.len() % 3 != 0) {
-        return Err(PngError::Damaged("its palette ends within a colour".to_owned()));
-    }
-    let size =
-        reader.output_buffer_size().ok_or(PngError::Size(reader.info().width, reader.info().height))?;
-    let mut pixels = vec![0; size];
-    let frame = reader.next_frame(&mut pixels)?;
+    let Info { width, height, color_type, bit_depth, palette, trns, .. } = reader.info().clone();
+    let (palette, alphas) = (palette.unwrap_or_default(), trns.unwrap_or_default());
+    let size = reader.output_buffer_size().ok_or(PngError::Size(width, height))?;
+    let mut samples = vec![0; size];
+    let line = reader.next_frame(&mut samples)?.line_size;
     reader.finish()?;
-    let pixel = |channels: &[u8]| match (frame.color_type, channels) {
-        (ColorType::Grayscale, &[grey]) => Pixel { colour: [grey; 3], alpha: None },
-        (ColorType::GrayscaleAlpha, &[grey, alpha]) => Pixel { colour: [grey; 3], alpha: Some(alpha) },
-        (_, &[red, green, blue]) => Pixel { colour: [red, green, blue], alpha: None },
-        (_, &[red, green, blue, alpha]) => Pixel { colour: [red, green, blue], alpha: Some(alpha) },
-        _ => unreachable!("a palette becomes colours"),
-    };
-    let mut pgm = format!("P5\n{} {}\n255\n", frame.width, frame.height).into_bytes();
-    pgm.extend(pixels.chunks_exact(frame.color_type.samples()).map(|channels| grey(pixel(channels))));
+    let channels = color_type.samples();
+    let mut pgm = format!("P5\n{width} {height}\n255\n").into_bytes();
+    for row in samples.chunks_exact(line) {
+        let sample = |index: usize| match bit_depth as usize {
+            16 => row[2 * index],
+            8 => row[index],
+            bits => {
+                let in_byte = 8 / bits;
+                let shift = 8 - bits * (index % in_byte + 1);
+                row[index / in_byte] >> shift & (0xff >> (8 - bits))
+            }
+        };
+        for x in 0..width as usize {
+            let at = |channel: usize| sample(x * channels + channel);
+            let pixel = match color_type {
+                ColorType::Grayscale if (bit_depth as u8) < 8 => {
+                    Pixel::of_grey((usize::from(at(0)) * 255 / ((1 << bit_depth as usize) - 1)) as u8, None)
+                }
+                // One transparent colour can be named here, which plans and maps do not use.
+                ColorType::Grayscale => Pixel::of_grey(at(0), None),
+                ColorType::Rgb => Pixel { colour: [0, 1, 2].map(at), alpha: None },
+                ColorType::Indexed => {
+                    let index = usize::from(at(0));
+                    let Some(&[red, green, blue]) = palette.get(3 * index..3 * index + 3) else {
+                        return Err(PngError::Damaged("it uses a colour that its palette lacks".to_owned()));
+                    };
+                    let alpha = (!alphas.is_empty()).then(|| alphas.get(index).copied().unwrap_or(255));
+                    Pixel { colour: [red, green, blue], alpha }
+                }
+                ColorType::GrayscaleAlpha => Pixel::of_grey(at(0), Some(at(1))),
+                ColorType::Rgba => Pixel { colour: [0, 1, 2].map(at), alpha: Some(at(3)) },
+            };
+            pgm.push(grey(pixel));
+        }
+    }
     Ok(pgm)
 }
 
@@ -201,16 +227,12 @@ mod tests {
         assert_eq!(reason(&picture((2, 1), 8, 0, &[], &[9, 1, 2])), "Unknown filter method 9.");
         assert_eq!(reason(&picture((2, 1), 3, 0, &[], &[0, 1])), "Invalid bit depth 3.");
         let no_palette = picture((2, 1), 8, 3, &[], &[0, 1, 2]);
-        assert_eq!(reason(&no_palette), "Missing palette of indexed image.");
+        assert_eq!(reason(&no_palette), "it uses a colour that its palette lacks");
+        // A palette that ends within a colour.
         for length in [4, 5] {
             let palette: [(&[u8; 4], &[u8]); 1] = [(b"PLTE", &vec![9; length])];
-            let wrong = reason(&picture((2, 1), 8, 3, &palette, &[0, 1, 2]));
-            assert_eq!(wrong, "its palette ends within a colour", "{length}");
-        }
-        for length in [2, 771] {
-            let palette: [(&[u8; 4], &[u8]); 1] = [(b"PLTE", &vec![9; length])];
-            let wrong = reason(&picture((2, 1), 8, 3, &palette, &[0, 1, 2]));
-            assert!(wrong.starts_with("Chunk length wrong"), "{length}: {wrong}");
+            let lacks = reason(&picture((2, 1), 8, 3, &palette, &[0, 0, 1]));
+            assert_eq!(lacks, "it uses a colour that its palette lacks", "{length}");
         }
         let large = to_pgm(&picture((99_999, 99_999), 1, 0, &[], &[]), Pixel::mean);
         assert_eq!(large, Err(PngError::Size(99_999, 99_999)));
